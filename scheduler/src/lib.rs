@@ -1,0 +1,7 @@
+//! What should a 3D client download next, and what should it throw away?
+//!
+//! The crate knows no clock, no socket and no file: time, views and transfers come in as arguments.
+
+pub mod lod_tree;
+pub mod units;
+pub mod view;

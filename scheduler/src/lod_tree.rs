@@ -1,0 +1,579 @@
+//! The LOD tree: the one shape that every kind of world takes (DESIGN §1).
+//!
+//! A node has a bounding box, its children lie inside it, and it can own representations, each of which shows
+//! everything beneath the node. The arrays are flat and in preorder: the subtree of a node is one interval of ids,
+//! so whatever is kept per node can be summed, searched and refreshed by slices.
+
+use glam::{DVec3, Vec3};
+
+/// A node of the tree, by its place in preorder; the root is 0.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct NodeId(pub u32);
+
+/// A representation, by its place in the order of its node, then of its insertion.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct RepId(pub u32);
+
+impl NodeId {
+    /// As an index into an array with one element per node.
+    pub fn index(self) -> usize {
+        self.0 as usize
+    }
+}
+
+impl RepId {
+    /// As an index into an array with one element per representation.
+    pub fn index(self) -> usize {
+        self.0 as usize
+    }
+}
+
+/// An axis-aligned box in world space, metres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Aabb {
+    /// Least corner.
+    pub min: DVec3,
+    /// Greatest corner.
+    pub max: DVec3,
+}
+
+impl Aabb {
+    /// The empty box: the neutral element of [`Aabb::union`].
+    pub const EMPTY: Aabb = Aabb { min: DVec3::INFINITY, max: DVec3::NEG_INFINITY };
+
+    /// The least box around both.
+    pub fn union(self, other: Aabb) -> Aabb {
+        Aabb { min: self.min.min(other.min), max: self.max.max(other.max) }
+    }
+
+    /// True when no point lies inside.
+    pub fn is_empty(self) -> bool {
+        self.min.x > self.max.x || self.min.y > self.max.y || self.min.z > self.max.z
+    }
+
+    /// The middle.
+    pub fn centre(self) -> DVec3 {
+        0.5 * (self.min + self.max)
+    }
+}
+
+/// What a representation costs and how well it shows its node.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Representation {
+    /// Bytes on the wire, M_r; at least 1.
+    pub wire_bytes: u32,
+    /// Bytes in memory once decoded, m_r, textures with their mips.
+    pub decoded_bytes: u32,
+    /// Geometric error g_r in metres; finite, not negative.
+    pub error: f32,
+    /// The representation that must be there first, if any. It has to be inserted earlier.
+    pub prerequisite: Option<RepId>,
+    /// For an orthoview, which of the 26 canonical directions it was rendered along: `9·(x+1) + 3·(y+1) + (z+1)`
+    /// for a direction (x, y, z) of −1, 0 and 1. `None` shows every side.
+    pub direction: Option<u8>,
+}
+
+const NO_REP: u32 = u32::MAX;
+const NO_DIRECTION: u8 = u8::MAX;
+
+/// A world as the scheduler sees it. At most 2³²−2 nodes and as many representations; 80 bytes for a node with one
+/// representation.
+#[derive(Clone, Debug, Default)]
+pub struct LodTree {
+    parent: Vec<u32>,
+    subtree_end: Vec<u32>,
+    centre: Vec<DVec3>,
+    half: Vec<Vec3>,
+    area: Vec<[f32; 3]>,
+    first_rep: Vec<u32>,
+    importance: Vec<f32>,
+    rep_node: Vec<u32>,
+    rep_wire: Vec<u32>,
+    rep_decoded: Vec<u32>,
+    rep_error: Vec<f32>,
+    rep_prerequisite: Vec<u32>,
+    rep_direction: Vec<u8>,
+}
+
+/// Why a tree cannot be built.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum LodTreeError {
+    /// There is not a single node.
+    #[error("the world has no node; expected at least one with content")]
+    Empty,
+    /// A node has neither children nor content bounds.
+    #[error("node {0} has neither children nor content bounds")]
+    LeafWithoutBounds(u32),
+    /// A box has a corner that is NaN or infinite, or is inside out.
+    #[error("node {node} has the bounds {min} to {max}; expected finite corners in order")]
+    Bounds {
+        /// The node.
+        node: u32,
+        /// Least corner as given.
+        min: DVec3,
+        /// Greatest corner as given.
+        max: DVec3,
+    },
+    /// Geometric error that is not a number ≥ 0.
+    #[error("representation {rep} has the geometric error {error} m; expected a finite number ≥ 0")]
+    GeometricError {
+        /// The representation.
+        rep: u32,
+        /// As given.
+        error: f32,
+    },
+    /// A representation that costs nothing to fetch.
+    #[error("representation {0} has 0 bytes on the wire; expected at least 1")]
+    NoBytes(u32),
+    /// A prerequisite that was not inserted earlier.
+    #[error("representation {rep} needs {prerequisite}, which was not inserted before it")]
+    Prerequisite {
+        /// The representation.
+        rep: u32,
+        /// The one it names.
+        prerequisite: u32,
+    },
+    /// A direction code above 26 or the centre, 13.
+    #[error("representation {rep} has the direction code {code}; expected 0 to 26 without 13")]
+    Direction {
+        /// The representation.
+        rep: u32,
+        /// As given.
+        code: u8,
+    },
+    /// Importance that is not a finite number ≥ 0.
+    #[error("node {node} has the importance {importance}; expected a finite number ≥ 0")]
+    Importance {
+        /// The node.
+        node: u32,
+        /// As given.
+        importance: f32,
+    },
+    /// More nodes or representations than 32-bit ids can name.
+    #[error("more than 2^32 - 2 {0}")]
+    TooMany(&'static str),
+    /// `close` was called more often than `open`, or less, or a second root was opened.
+    #[error("nodes are not nested: {0}")]
+    Nesting(&'static str),
+}
+
+/// Builds a [`LodTree`] in preorder: `open` a node, add its representations, open and close its children, `close` it.
+///
+/// ```
+/// use foresight_scheduler::lod_tree::{Aabb, LodTreeBuilder, Representation};
+/// use glam::DVec3;
+/// let mut builder = LodTreeBuilder::default();
+/// builder.open()?;
+/// builder.add(Representation { wire_bytes: 1000, decoded_bytes: 4000, error: 2.0, prerequisite: None, direction: None })?;
+/// for x in [0.0, 10.0] {
+///     builder.open()?;
+///     builder.add(Representation { wire_bytes: 5000, decoded_bytes: 20000, error: 0.1, prerequisite: None, direction: None })?;
+///     builder.close(Some(Aabb { min: DVec3::new(x, 0.0, 0.0), max: DVec3::new(x + 8.0, 5.0, 8.0) }), 1.0)?;
+/// }
+/// builder.close(None, 1.0)?;
+/// let tree = builder.finish()?;
+/// assert_eq!((tree.nodes(), tree.representations()), (3, 3));
+/// # Ok::<(), foresight_scheduler::lod_tree::LodTreeError>(())
+/// ```
+#[derive(Debug, Default)]
+pub struct LodTreeBuilder {
+    tree: LodTree,
+    open: Vec<u32>,
+    boxes: Vec<Aabb>,
+    areas: Vec<[f64; 3]>,
+    any_importance: bool,
+    any_prerequisite: bool,
+    any_direction: bool,
+}
+
+impl LodTreeBuilder {
+    /// Opens a node as the next child of the node that is open now, or as the root.
+    pub fn open(&mut self) -> Result<NodeId, LodTreeError> {
+        let id = self.tree.parent.len();
+        if id >= (u32::MAX - 1) as usize {
+            return Err(LodTreeError::TooMany("nodes"));
+        }
+        let parent = match self.open.last() {
+            Some(&parent) => parent,
+            None if id == 0 => u32::MAX,
+            None => return Err(LodTreeError::Nesting("a second root was opened")),
+        };
+        self.tree.parent.push(parent);
+        self.tree.subtree_end.push(0);
+        self.tree.centre.push(DVec3::ZERO);
+        self.tree.half.push(Vec3::ZERO);
+        self.tree.area.push([0.0; 3]);
+        self.tree.importance.push(1.0);
+        self.tree.first_rep.push(self.tree.rep_node.len() as u32);
+        self.open.push(id as u32);
+        self.boxes.push(Aabb::EMPTY);
+        self.areas.push([0.0; 3]);
+        Ok(NodeId(id as u32))
+    }
+
+    /// Adds a representation to the node opened last. Must come before the node's children are opened.
+    pub fn add(&mut self, rep: Representation) -> Result<RepId, LodTreeError> {
+        let id = self.tree.rep_node.len();
+        if id >= (u32::MAX - 1) as usize {
+            return Err(LodTreeError::TooMany("representations"));
+        }
+        let id = id as u32;
+        let node = *self.open.last().ok_or(LodTreeError::Nesting("a representation outside every node"))?;
+        if node as usize + 1 != self.tree.parent.len() {
+            return Err(LodTreeError::Nesting("a representation was added after its node's children"));
+        }
+        if !(rep.error.is_finite() && rep.error >= 0.0) {
+            return Err(LodTreeError::GeometricError { rep: id, error: rep.error });
+        }
+        if rep.wire_bytes == 0 {
+            return Err(LodTreeError::NoBytes(id));
+        }
+        if let Some(RepId(prerequisite)) = rep.prerequisite {
+            if prerequisite >= id {
+                return Err(LodTreeError::Prerequisite { rep: id, prerequisite });
+            }
+            self.any_prerequisite = true;
+        }
+        if let Some(code) = rep.direction {
+            if code > 26 || code == 13 {
+                return Err(LodTreeError::Direction { rep: id, code });
+            }
+            self.any_direction = true;
+        }
+        self.tree.rep_node.push(node);
+        self.tree.rep_wire.push(rep.wire_bytes);
+        self.tree.rep_decoded.push(rep.decoded_bytes);
+        self.tree.rep_error.push(rep.error);
+        self.tree.rep_prerequisite.push(rep.prerequisite.map_or(NO_REP, |r| r.0));
+        self.tree.rep_direction.push(rep.direction.unwrap_or(NO_DIRECTION));
+        Ok(RepId(id))
+    }
+
+    /// Closes the node opened last. `content` bounds what the node itself shows: required for a leaf, and for an inner
+    /// node only widened into its box (its weight is that of its leaves). `importance` ι ≥ 0 counts for leaves.
+    pub fn close(&mut self, content: Option<Aabb>, importance: f32) -> Result<(), LodTreeError> {
+        let node = self.open.pop().ok_or(LodTreeError::Nesting("close without open"))?;
+        let mut bounds = self.boxes.pop().unwrap_or(Aabb::EMPTY);
+        let mut areas = self.areas.pop().unwrap_or([0.0; 3]);
+        let index = node as usize;
+        let end = self.tree.parent.len() as u32;
+        let is_leaf = end == node + 1;
+        if is_leaf && content.is_none() {
+            return Err(LodTreeError::LeafWithoutBounds(node));
+        }
+        if !(importance.is_finite() && importance >= 0.0) {
+            return Err(LodTreeError::Importance { node, importance });
+        }
+        if let Some(own) = content {
+            if own.is_empty() || !own.min.is_finite() || !own.max.is_finite() {
+                return Err(LodTreeError::Bounds { node, min: own.min, max: own.max });
+            }
+            bounds = bounds.union(own);
+        }
+        let centre = bounds.centre();
+        // Measured from the rounded middle, so that no corner is lost when it lies far from the origin.
+        let half = (bounds.max - centre).max(centre - bounds.min);
+        let half = Vec3::new(narrow_up(half.x), narrow_up(half.y), narrow_up(half.z));
+        if !centre.is_finite() || !half.is_finite() {
+            return Err(LodTreeError::Bounds { node, min: bounds.min, max: bounds.max });
+        }
+        if is_leaf {
+            let side = half.as_dvec3() * 2.0;
+            let iota = f64::from(importance);
+            areas = [iota * side.y * side.z, iota * side.x * side.z, iota * side.x * side.y];
+            self.tree.importance[index] = importance;
+            self.any_importance |= importance != 1.0;
+        }
+        self.tree.subtree_end[index] = end;
+        self.tree.centre[index] = centre;
+        self.tree.half[index] = half;
+        self.tree.area[index] = areas.map(|a| a as f32);
+        if !self.tree.area[index].iter().all(|a| a.is_finite()) {
+            return Err(LodTreeError::Bounds { node, min: bounds.min, max: bounds.max });
+        }
+        if let (Some(parent_box), Some(parent_areas)) = (self.boxes.last_mut(), self.areas.last_mut()) {
+            *parent_box = parent_box.union(bounds);
+            for (sum, area) in parent_areas.iter_mut().zip(areas) {
+                *sum += area;
+            }
+        }
+        Ok(())
+    }
+
+    /// The finished tree. Arrays that the world does not need (importance, prerequisites, directions) are dropped.
+    pub fn finish(mut self) -> Result<LodTree, LodTreeError> {
+        if !self.open.is_empty() {
+            return Err(LodTreeError::Nesting("a node was left open"));
+        }
+        if self.tree.parent.is_empty() {
+            return Err(LodTreeError::Empty);
+        }
+        self.tree.first_rep.push(self.tree.rep_node.len() as u32);
+        if !self.any_importance {
+            self.tree.importance = Vec::new();
+        }
+        if !self.any_prerequisite {
+            self.tree.rep_prerequisite = Vec::new();
+        }
+        if !self.any_direction {
+            self.tree.rep_direction = Vec::new();
+        }
+        Ok(self.tree)
+    }
+}
+
+/// The one place where world sizes are narrowed to f32: upwards, so that a box never shrinks.
+#[expect(clippy::cast_possible_truncation, reason = "the narrowing itself; what it loses is given back by next_up")]
+fn narrow_up(value: f64) -> f32 {
+    let narrow = value as f32;
+    if f64::from(narrow) < value { narrow.next_up() } else { narrow }
+}
+
+impl LodTree {
+    /// Number of nodes.
+    pub fn nodes(&self) -> usize {
+        self.parent.len()
+    }
+
+    /// Number of representations.
+    pub fn representations(&self) -> usize {
+        self.rep_node.len()
+    }
+
+    /// The root.
+    pub fn root(&self) -> NodeId {
+        NodeId(0)
+    }
+
+    /// The node above, `None` for the root.
+    pub fn parent(&self, node: NodeId) -> Option<NodeId> {
+        let parent = self.parent[node.index()];
+        (parent != u32::MAX).then_some(NodeId(parent))
+    }
+
+    /// One past the last node of the subtree: the subtree is `node.0..subtree_end(node).0`.
+    pub fn subtree_end(&self, node: NodeId) -> NodeId {
+        NodeId(self.subtree_end[node.index()])
+    }
+
+    /// True if `node` is `ancestor` or lies beneath it.
+    pub fn is_beneath(&self, node: NodeId, ancestor: NodeId) -> bool {
+        node >= ancestor && node < self.subtree_end(ancestor)
+    }
+
+    /// True for a node without children: the things that are seen.
+    pub fn is_leaf(&self, node: NodeId) -> bool {
+        self.subtree_end[node.index()] == node.0 + 1
+    }
+
+    /// The children in order.
+    pub fn children(&self, node: NodeId) -> impl Iterator<Item = NodeId> + '_ {
+        let end = self.subtree_end(node).0;
+        let mut next = node.0 + 1;
+        core::iter::from_fn(move || {
+            (next < end).then(|| {
+                let child = NodeId(next);
+                next = self.subtree_end[child.index()];
+                child
+            })
+        })
+    }
+
+    /// The node and everything above it, from the node up to the root.
+    pub fn ancestors(&self, node: NodeId) -> impl Iterator<Item = NodeId> + '_ {
+        core::iter::successors(Some(node), |&n| self.parent(n))
+    }
+
+    /// Middle of the node's content box, metres.
+    pub fn centre(&self, node: NodeId) -> DVec3 {
+        self.centre[node.index()]
+    }
+
+    /// Half the sides of the node's content box, metres.
+    pub fn half(&self, node: NodeId) -> DVec3 {
+        self.half[node.index()].as_dvec3()
+    }
+
+    /// The node's content box.
+    pub fn bounds(&self, node: NodeId) -> Aabb {
+        let (centre, half) = (self.centre(node), self.half(node));
+        Aabb { min: centre - half, max: centre + half }
+    }
+
+    /// S_n by axis: Σ over the leaves beneath of ι × the area (m²) of the content box's face across x, y and z.
+    /// The area of the leaves projected along the unit vector u is |u.x|·S.x + |u.y|·S.y + |u.z|·S.z.
+    pub fn face_areas(&self, node: NodeId) -> DVec3 {
+        let [x, y, z] = self.area[node.index()];
+        DVec3::new(f64::from(x), f64::from(y), f64::from(z))
+    }
+
+    /// ι of a leaf.
+    pub fn importance(&self, node: NodeId) -> f64 {
+        self.importance.get(node.index()).map_or(1.0, |&i| f64::from(i))
+    }
+
+    /// The representations that the node owns.
+    pub fn own(&self, node: NodeId) -> impl DoubleEndedIterator<Item = RepId> + ExactSizeIterator + use<> {
+        (self.first_rep[node.index()]..self.first_rep[node.index() + 1]).map(RepId)
+    }
+
+    /// The representations owned by the node and everything beneath it: one interval of ids.
+    pub fn beneath(&self, node: NodeId) -> impl DoubleEndedIterator<Item = RepId> + ExactSizeIterator + use<> {
+        (self.first_rep[node.index()]..self.first_rep[self.subtree_end[node.index()] as usize]).map(RepId)
+    }
+
+    /// n(r), the node that owns the representation.
+    pub fn node_of(&self, rep: RepId) -> NodeId {
+        NodeId(self.rep_node[rep.index()])
+    }
+
+    /// M_r.
+    pub fn wire_bytes(&self, rep: RepId) -> u64 {
+        u64::from(self.rep_wire[rep.index()])
+    }
+
+    /// m_r.
+    pub fn decoded_bytes(&self, rep: RepId) -> u64 {
+        u64::from(self.rep_decoded[rep.index()])
+    }
+
+    /// g_r, metres.
+    pub fn error(&self, rep: RepId) -> f64 {
+        f64::from(self.rep_error[rep.index()])
+    }
+
+    /// What must be resident before `rep` is of use.
+    pub fn prerequisite(&self, rep: RepId) -> Option<RepId> {
+        self.rep_prerequisite.get(rep.index()).filter(|&&r| r != NO_REP).map(|&r| RepId(r))
+    }
+
+    /// u_r: the direction an orthoview was rendered along, as its code ([`Representation::direction`]).
+    pub fn direction(&self, rep: RepId) -> Option<u8> {
+        self.rep_direction.get(rep.index()).copied().filter(|&d| d != NO_DIRECTION)
+    }
+
+    /// True if some representation needs another first.
+    pub fn has_prerequisites(&self) -> bool {
+        !self.rep_prerequisite.is_empty()
+    }
+
+    /// True if some representation shows one direction only.
+    pub fn has_directions(&self) -> bool {
+        !self.rep_direction.is_empty()
+    }
+
+    /// The nearest node above `node` that owns a representation: the one whose content `node` and its sibling group
+    /// replace under `atomic` refinement.
+    pub fn content_parent(&self, node: NodeId) -> Option<NodeId> {
+        self.ancestors(node).skip(1).find(|&n| self.own(n).len() > 0)
+    }
+
+    /// The sibling group beneath `parent` (`None`: at the top): the nearest nodes below it that own representations.
+    /// Under `atomic` refinement they appear together or not at all.
+    pub fn sibling_group(&self, parent: Option<NodeId>) -> Vec<NodeId> {
+        let (mut next, end) = match parent {
+            Some(node) => (node.0 + 1, self.subtree_end(node).0),
+            None => (0, self.nodes() as u32),
+        };
+        let mut group = Vec::new();
+        while next < end {
+            let node = NodeId(next);
+            if self.own(node).len() > 0 {
+                group.push(node);
+                next = self.subtree_end[node.index()];
+            } else {
+                next += 1;
+            }
+        }
+        group
+    }
+
+    /// Bytes that the arrays occupy.
+    pub fn heap_bytes(&self) -> usize {
+        self.nodes() * (4 + 4 + 24 + 12 + 12 + 4)
+            + self.importance.len() * 4
+            + self.representations() * (4 * 4)
+            + self.rep_prerequisite.len() * 4
+            + self.rep_direction.len()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rep(wire_bytes: u32, error: f32) -> Representation {
+        Representation { wire_bytes, decoded_bytes: 4 * wire_bytes, error, prerequisite: None, direction: None }
+    }
+
+    fn unit(x: f64) -> Aabb {
+        Aabb { min: DVec3::new(x, 0.0, 0.0), max: DVec3::new(x + 1.0, 1.0, 1.0) }
+    }
+
+    #[test]
+    fn preorder_intervals_and_areas() -> Result<(), LodTreeError> {
+        let mut b = LodTreeBuilder::default();
+        let root = b.open()?;
+        let coarse = b.add(rep(10, 4.0))?;
+        let left = b.open()?;
+        b.add(rep(20, 1.0))?;
+        b.close(Some(unit(0.0)), 1.0)?;
+        let middle = b.open()?;
+        let far = b.open()?;
+        b.add(rep(30, 1.0))?;
+        b.close(Some(unit(5.0)), 2.0)?;
+        b.close(None, 1.0)?;
+        b.close(None, 1.0)?;
+        let tree = b.finish()?;
+        assert_eq!(tree.children(root).collect::<Vec<_>>(), [left, middle]);
+        assert_eq!(tree.face_areas(root), DVec3::splat(3.0));
+        assert_eq!(tree.bounds(root), Aabb { min: DVec3::ZERO, max: DVec3::new(6.0, 1.0, 1.0) });
+        assert_eq!(tree.ancestors(far).collect::<Vec<_>>(), [far, middle, root]);
+        assert_eq!(tree.content_parent(far), Some(root));
+        assert_eq!(tree.sibling_group(Some(root)), [left, far]);
+        assert_eq!(tree.sibling_group(None), [root]);
+        assert_eq!(tree.beneath(root).len(), 3);
+        assert_eq!(tree.own(root).next(), Some(coarse));
+        assert!(!tree.has_prerequisites() && !tree.has_directions());
+        Ok(())
+    }
+
+    #[test]
+    fn boxes_far_from_the_origin_keep_the_millimetre() -> Result<(), LodTreeError> {
+        let mut b = LodTreeBuilder::default();
+        let content = Aabb { min: DVec3::new(6.4e6, 0.001, 0.0), max: DVec3::new(6.4e6 + 0.003, 0.002, 1.0) };
+        b.open()?;
+        b.add(rep(1, 0.0))?;
+        b.close(Some(content), 1.0)?;
+        let bounds = b.finish()?.bounds(NodeId(0));
+        assert!((bounds.min - content.min).abs().max_element() < 1e-6);
+        assert!(bounds.min.cmple(content.min).all() && bounds.max.cmpge(content.max).all());
+        Ok(())
+    }
+
+    #[test]
+    fn refuses_what_it_cannot_bound() {
+        let mut b = LodTreeBuilder::default();
+        assert_eq!(b.close(None, 1.0), Err(LodTreeError::Nesting("close without open")));
+        b.open().unwrap();
+        assert!(matches!(b.add(rep(1, f32::NAN)), Err(LodTreeError::GeometricError { .. })));
+        assert_eq!(b.add(rep(0, 1.0)), Err(LodTreeError::NoBytes(0)));
+        assert_eq!(b.close(None, 1.0), Err(LodTreeError::LeafWithoutBounds(0)));
+        assert!(matches!(LodTreeBuilder::default().finish(), Err(LodTreeError::Empty)));
+    }
+
+    #[test]
+    fn a_chain_of_a_hundred_thousand_nodes_is_built_without_recursion() -> Result<(), LodTreeError> {
+        let mut b = LodTreeBuilder::default();
+        for _ in 0..100_000 {
+            b.open()?;
+        }
+        b.add(rep(1, 0.0))?;
+        b.close(Some(unit(0.0)), 1.0)?;
+        for _ in 1..100_000 {
+            b.close(None, 1.0)?;
+        }
+        assert_eq!(b.finish()?.ancestors(NodeId(99_999)).count(), 100_000);
+        Ok(())
+    }
+}

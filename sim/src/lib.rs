@@ -1,0 +1,3 @@
+//! Replays camera paths over worlds and links, and compares prefetch policies.
+
+pub mod outcome;

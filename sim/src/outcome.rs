@@ -1,0 +1,204 @@
+//! What a comparison yields: the document that `replay --json` prints, and the series that the report draws.
+
+use serde::Serialize;
+
+/// Version of the JSON document. Raised when a field changes its meaning or goes away.
+pub const SCHEMA_VERSION: u32 = 1;
+
+/// The document: one world, path and link, and what each policy made of them.
+#[derive(Clone, Debug, Serialize)]
+pub struct Comparison {
+    /// [`SCHEMA_VERSION`].
+    pub schema_version: u32,
+    /// What was replayed.
+    pub inputs: Inputs,
+    /// Whether the comparison can mean anything.
+    pub pressure: Pressure,
+    /// Share of the sampled frames that have something in view.
+    pub nonempty_share: f64,
+    /// The goal line.
+    pub upper_bound: UpperBound,
+    /// One entry a policy, in the order asked for.
+    pub policies: Vec<PolicyOutcome>,
+    /// What the reader of the figures must know: repairs, low pressure, empty views.
+    pub warnings: Vec<String>,
+    /// For drawing; not part of the document.
+    #[serde(skip)]
+    pub series: Series,
+}
+
+/// What was replayed, so that it can be replayed again.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Inputs {
+    /// World as named on the command line, or `built-in city`.
+    pub world: String,
+    /// BLAKE3 of the world's tree and URIs, hexadecimal.
+    pub world_hash: String,
+    /// Number of representations in the world.
+    pub representations: u64,
+    /// Path as named.
+    pub path: String,
+    /// BLAKE3 of the poses as replayed.
+    pub path_hash: String,
+    /// Link as named.
+    pub link: String,
+    /// BLAKE3 of the capacity as replayed.
+    pub link_hash: String,
+    /// How the path was put into the world.
+    pub place: String,
+    /// Seconds replayed.
+    pub duration_s: f64,
+    /// Memory budget, bytes.
+    pub memory_bytes: u64,
+    /// Trust in the prediction.
+    pub alpha: f64,
+    /// Which reading of the worst case the objective used: `union` or `minimum`.
+    pub worst_case: String,
+    /// `partial` or `atomic`.
+    pub refinement: String,
+    /// Whether the first view's needs were resident at the start.
+    pub warm: bool,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// Offsets into the link, seconds, one a replay; the first replay's series are drawn.
+    pub starts_s: Vec<f64>,
+    /// Viewport in pixels.
+    pub viewport: [u32; 2],
+    /// Vertical field of view, degrees.
+    pub fov_y_deg: f64,
+}
+
+/// Pressure figures of DESIGN §3.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct Pressure {
+    /// λ: bytes newly needed after the first frame ÷ (duration × mean link rate).
+    pub lambda: f64,
+    /// ρ: bytes of the union of all needs ÷ bytes that the link delivers.
+    pub rho: f64,
+    /// μ: memory budget ÷ the largest need, decoded.
+    pub mu: f64,
+    /// The largest need of a frame, decoded bytes.
+    pub largest_need_bytes: u64,
+}
+
+/// Proven upper bound on the mean quality of any online policy.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct UpperBound {
+    /// Mean over the frames with something in view; over the starts too.
+    pub mean_quality: Option<f64>,
+    /// How it was proven.
+    pub method: String,
+}
+
+/// A 95 % interval of a mean over starts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Interval {
+    /// Lower end.
+    pub lower: f64,
+    /// Upper end.
+    pub upper: f64,
+}
+
+/// Intervals over the starts, present with `--starts` of 2 and more; each beside the figure of the same name.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+#[allow(missing_docs)]
+pub struct Intervals {
+    pub mean_quality: Option<Interval>,
+    pub mean_deficit: Option<Interval>,
+    pub p05_quality: Option<Interval>,
+    pub seconds_below_0_9: Option<Interval>,
+    pub seconds_to_0_9: Option<Interval>,
+    pub share_within_16px: Option<Interval>,
+    pub bytes_fetched: Option<Interval>,
+    pub bytes_wasted: Option<Interval>,
+    pub bytes_cancelled: Option<Interval>,
+    pub evictions: Option<Interval>,
+}
+
+/// Percentiles of the time a decision took on this machine, nanoseconds. The only figures that differ between runs.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+#[allow(missing_docs)]
+pub struct DecisionNanos {
+    pub p50: u64,
+    pub p99: u64,
+    pub max: u64,
+}
+
+/// What one policy reached. Means over the starts where there are several.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct PolicyOutcome {
+    /// Name with its options, as on the command line.
+    pub name: String,
+    /// Time-weighted mean of Q over frames with something in view. `None` if there is no such frame.
+    pub mean_quality: Option<f64>,
+    /// Mean of 1 − Q.
+    pub mean_deficit: Option<f64>,
+    /// 5th percentile of Q.
+    pub p05_quality: Option<f64>,
+    /// Seconds with Q < 0.9.
+    pub seconds_below_0_9: f64,
+    /// Seconds until Q first reached 0.9; `None` if never.
+    pub seconds_to_0_9: Option<f64>,
+    /// Share of the weight shown at an error of at most 16 px, mean over frames.
+    pub share_within_16px: Option<f64>,
+    /// Bytes that crossed the link, cancelled ones included.
+    pub bytes_fetched: f64,
+    /// Bytes of representations that were never the best for any leaf with weight.
+    pub bytes_wasted: f64,
+    /// Bytes that had crossed the link when their request was cancelled.
+    pub bytes_cancelled: f64,
+    /// Representations discarded.
+    pub evictions: f64,
+    /// Times the policy was asked and chose to do something.
+    pub decisions: f64,
+    /// How long decisions took.
+    pub decision_ns: DecisionNanos,
+    /// Present with several starts.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub interval: Option<Intervals>,
+}
+
+/// Time series of the first start, for the report.
+#[derive(Clone, Debug, Default)]
+pub struct Series {
+    /// Times of the sampled frames, seconds.
+    pub frame_s: Vec<f64>,
+    /// Upper bound of Q per frame; `None` where nothing is in view.
+    pub bound: Vec<Option<f64>>,
+    /// Camera position per frame seen from above, metres: two axes across the world's up.
+    pub path_xy: Vec<[f64; 2]>,
+    /// Seconds at which `capacity_bytes` is cumulated.
+    pub second_s: Vec<f64>,
+    /// Bytes that the link could deliver in each second.
+    pub capacity_bytes: Vec<f64>,
+    /// One a policy, in the order of [`Comparison::policies`].
+    pub policies: Vec<PolicySeries>,
+}
+
+/// What one policy did over time.
+#[derive(Clone, Debug, Default)]
+pub struct PolicySeries {
+    /// Name, as in [`PolicyOutcome::name`].
+    pub name: String,
+    /// Q per frame; `None` where nothing is in view.
+    pub quality: Vec<Option<f64>>,
+    /// Memory in use per frame, bytes.
+    pub memory_bytes: Vec<u64>,
+    /// Bytes that crossed the link in each second.
+    pub used_bytes: Vec<f64>,
+    /// Arrivals on the map.
+    pub arrivals: Vec<Arrival>,
+}
+
+/// A representation that became usable: the footprint of its node seen from above.
+#[derive(Clone, Copy, Debug)]
+pub struct Arrival {
+    /// When it could be shown, seconds.
+    pub at_s: f64,
+    /// Middle of the footprint, metres, in the axes of [`Series::path_xy`].
+    pub centre: [f64; 2],
+    /// Half its sides, metres.
+    pub half: [f64; 2],
+    /// Depth of its node in the tree; the root is 0.
+    pub depth: u32,
+}
