@@ -5,8 +5,11 @@
 pub mod benefit;
 pub mod lod_tree;
 pub mod policy;
+pub mod predict;
 pub mod scheduler;
+pub mod select;
 pub mod state;
 pub mod transfer;
 pub mod units;
 pub mod view;
+pub mod worst_case;

@@ -200,7 +200,7 @@ impl<'a> Scheduler<'a> {
         Ok(())
     }
 
-    /// `rep` can be shown from `now` on.
+    /// `rep` can be shown from `now` on. A client decodes a representation after its prerequisite.
     pub fn completed(&mut self, rep: RepId, now: Time) -> Result<(), SchedulerError> {
         self.expect(rep, "completed", &[Status::Arrived])?;
         self.pass(now)?;
@@ -209,7 +209,7 @@ impl<'a> Scheduler<'a> {
         Ok(())
     }
 
-    /// `rep` could not be fetched or decoded.
+    /// `rep` could not be fetched or decoded. What needs it can be shown no more and must be reported as failed too.
     pub fn failed(&mut self, rep: RepId, now: Time) -> Result<(), SchedulerError> {
         self.expect(rep, "failed", &[Status::InFlight, Status::Arrived])?;
         self.pass(now)?;
@@ -231,9 +231,13 @@ impl<'a> Scheduler<'a> {
         match &action {
             Action::Fetch { rep, discard_on_arrival } => {
                 self.expect(*rep, "fetched", &[Status::Absent]).map_err(|_| self.refusal("a fetch", *rep))?;
+                if !self.state.has_prerequisite(*rep) {
+                    return Err(self.refusal("a fetch before its prerequisite", *rep));
+                }
                 let mut handed_over = 0;
                 for (i, &doomed) in discard_on_arrival.iter().enumerate() {
-                    if self.state.status(doomed) != Status::Resident || discard_on_arrival[..i].contains(&doomed) {
+                    let twice = discard_on_arrival[..i].contains(&doomed);
+                    if self.state.status(doomed) != Status::Resident || self.state.is_needed(doomed) || twice {
                         return Err(self.refusal("a discard on arrival", doomed));
                     }
                     handed_over += self.state.tree.decoded_bytes(doomed);
@@ -246,11 +250,14 @@ impl<'a> Scheduler<'a> {
                 self.state.request(*rep, discard_on_arrival.clone(), now);
             }
             Action::Cancel(rep) => {
+                if self.state.is_needed(*rep) {
+                    return Err(self.refusal("a cancellation", *rep));
+                }
                 let request = self.state.end_request(*rep, now).ok_or_else(|| self.refusal("a cancellation", *rep))?;
                 self.state.abandon(&request);
             }
             Action::Discard(rep) => {
-                if self.state.status(*rep) != Status::Resident {
+                if self.state.status(*rep) != Status::Resident || self.state.is_needed(*rep) {
                     return Err(self.refusal("a discard", *rep));
                 }
                 self.state.discard(*rep);

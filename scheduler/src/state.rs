@@ -48,6 +48,8 @@ pub struct ClientState<'a> {
     resident: Coverage,
     planned: Coverage,
     requests: Vec<Request>,
+    /// How many planned representations need each one first; empty in a world without prerequisites.
+    dependents: Vec<u32>,
     used: u64,
     /// Bytes of the requests in flight that have been received.
     received_in_flight: u64,
@@ -68,6 +70,7 @@ impl<'a> ClientState<'a> {
             resident: empty.clone(),
             planned: empty,
             requests: Vec::new(),
+            dependents: if tree.has_prerequisites() { vec![0; tree.representations()] } else { Vec::new() },
             used: 0,
             received_in_flight: 0,
             link,
@@ -78,6 +81,11 @@ impl<'a> ClientState<'a> {
     /// Where `rep` is.
     pub fn status(&self, rep: RepId) -> Status {
         self.status[rep.index()]
+    }
+
+    /// Everything that can be shown and is not doomed, in order of id.
+    pub fn residents(&self) -> impl Iterator<Item = RepId> + '_ {
+        self.resident.iter().filter(|&r| self.status(r) == Status::Resident)
     }
 
     /// What can be shown now, doomed ones included.
@@ -116,16 +124,40 @@ impl<'a> ClientState<'a> {
         self.tree.wire_bytes(rep) + self.tree.decoded_bytes(rep)
     }
 
+    /// Whether a planned representation needs `rep` first: then it cannot be discarded.
+    pub fn is_needed(&self, rep: RepId) -> bool {
+        self.dependents.get(rep.index()).is_some_and(|&n| n > 0)
+    }
+
+    /// Whether everything that `rep` needs first is planned.
+    pub fn has_prerequisite(&self, rep: RepId) -> bool {
+        self.tree.prerequisite(rep).is_none_or(|p| self.planned.contains(p))
+    }
+
+    fn plan(&mut self, rep: RepId) {
+        if let Some(p) = self.tree.prerequisite(rep) {
+            self.dependents[p.index()] += 1;
+        }
+        self.planned.insert(self.tree, rep);
+    }
+
+    fn unplan(&mut self, rep: RepId) {
+        if let Some(p) = self.tree.prerequisite(rep) {
+            self.dependents[p.index()] -= 1;
+        }
+        self.planned.remove(self.tree, rep);
+    }
+
     pub(crate) fn request(&mut self, rep: RepId, discard_on_arrival: Vec<RepId>, now: Time) {
         let handed_over: u64 = discard_on_arrival.iter().map(|&d| self.tree.decoded_bytes(d)).sum();
         let reserved = self.tree.wire_bytes(rep) + self.tree.decoded_bytes(rep).saturating_sub(handed_over);
         for &doomed in &discard_on_arrival {
             self.status[doomed.index()] = Status::Doomed;
-            self.planned.remove(self.tree, doomed);
+            self.unplan(doomed);
         }
         self.used += reserved;
         self.status[rep.index()] = Status::InFlight;
-        self.planned.insert(self.tree, rep);
+        self.plan(rep);
         self.requests.push(Request { rep, requested: now, responded: None, discard_on_arrival, reserved });
     }
 
@@ -170,10 +202,10 @@ impl<'a> ClientState<'a> {
     pub(crate) fn abandon(&mut self, request: &Request) {
         self.used -= request.reserved;
         self.status[request.rep.index()] = Status::Absent;
-        self.planned.remove(self.tree, request.rep);
+        self.unplan(request.rep);
         for &spared in &request.discard_on_arrival {
             self.status[spared.index()] = Status::Resident;
-            self.planned.insert(self.tree, spared);
+            self.plan(spared);
         }
     }
 
@@ -187,7 +219,7 @@ impl<'a> ClientState<'a> {
     pub(crate) fn drop_arrived(&mut self, rep: RepId) {
         self.used -= self.request_bytes(rep);
         self.status[rep.index()] = Status::Absent;
-        self.planned.remove(self.tree, rep);
+        self.unplan(rep);
     }
 
     /// Puts a representation there from the start (`--warm`).
@@ -195,14 +227,14 @@ impl<'a> ClientState<'a> {
         self.used += self.tree.decoded_bytes(rep);
         self.status[rep.index()] = Status::Resident;
         self.resident.insert(self.tree, rep);
-        self.planned.insert(self.tree, rep);
+        self.plan(rep);
     }
 
     pub(crate) fn discard(&mut self, rep: RepId) {
         self.used -= self.tree.decoded_bytes(rep);
         self.status[rep.index()] = Status::Absent;
         self.resident.remove(self.tree, rep);
-        self.planned.remove(self.tree, rep);
+        self.unplan(rep);
     }
 
     /// A copy of the planned set that a policy may alter to weigh its choices.

@@ -64,6 +64,14 @@ impl Coverage {
         self.held[rep.index() / 64] >> (rep.index() % 64) & 1 != 0
     }
 
+    /// The members in order of id.
+    pub fn iter(&self) -> impl Iterator<Item = RepId> + '_ {
+        self.held.iter().enumerate().flat_map(|(word, &bits)| {
+            core::iter::successors((bits != 0).then_some(bits), |b| Some(b & (b - 1)).filter(|b| *b != 0))
+                .map(move |b| RepId((word * 64) as u32 + b.trailing_zeros()))
+        })
+    }
+
     /// Least error (m) among the node's own representations that count; ∞ if none does.
     pub fn best_at(&self, node: NodeId) -> f32 {
         self.best[node.index()]

@@ -1,5 +1,8 @@
 //! Policies: what to fetch next, each in a file under its published name.
 
+pub mod added_benefit;
+pub mod foresight;
+
 use crate::lod_tree::RepId;
 use crate::scheduler::Action;
 use crate::state::ClientState;

@@ -1,0 +1,637 @@
+//! `foresight`: the objective of DESIGN §1 with everything in it.
+//!
+//! Rank every closure by net return per second of link occupancy,
+//!
+//! ```text
+//! G = Σ_terms share(t_a) · w · (a(R∖X ∪ r) − a(R)) ,   ratio = G / (c·M + o)
+//! ```
+//!
+//! with the predicted paths weighing α and the worst case 1 − α; fetch the best while the pipeline has room; when memory
+//! is full, grow the discards X by least loss per byte and swap only if the gain exceeds (1+η) times their loss; wait if
+//! nothing gains. The terms are sampled anew every D seconds ([ZK] §6); between, gains are re-evaluated lazily, which is
+//! exact because they only fall while the resident set grows.
+
+use super::Policy;
+use crate::benefit::coverage::{Coverage, Refinement};
+use crate::benefit::cut::CutSettings;
+use crate::lod_tree::{NodeId, RepId};
+use crate::predict::motion::Motion;
+use crate::predict::{Predictor, PredictorKind};
+use crate::scheduler::Action;
+use crate::select::discard::{Victim, Victims};
+use crate::select::horizon::{Horizon, HorizonSettings};
+use crate::state::{ClientState, Status};
+use crate::units::Time;
+use crate::view::View;
+use crate::worst_case::Reach;
+use std::cmp::Ordering;
+use std::collections::{BinaryHeap, VecDeque};
+
+/// How room is made.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Discards {
+    /// By least loss per byte, and only if the swap gains.
+    #[default]
+    Planned,
+    /// By least recent use, whatever it costs (Teler & Lischinski plan none).
+    LeastRecentlyUsed,
+}
+
+/// Every constant of the policy, with its default.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ForesightSettings {
+    /// α ∈ [0, 1]: trust in the prediction.
+    pub alpha: f64,
+    /// δ₀, seconds: least span that the integral looks ahead.
+    pub horizon_s: f64,
+    /// D, seconds: evaluations are reused this long, and ε is at least this.
+    pub reuse_s: f64,
+    /// η: a swap must gain more than 1+η times its loss.
+    pub hysteresis: f64,
+    /// att(u) = exp(−rate·u), per second.
+    pub attenuation: f64,
+    /// o, seconds of link that a request costs beside its bytes.
+    pub request_cost_s: f64,
+    /// Intervals of the midpoint rule.
+    pub samples: usize,
+    /// How the cuts are made: opening angle, near plane, centre weighting κ.
+    pub cut: CutSettings,
+    /// See [`HorizonSettings::tolerance`], sr.
+    pub tolerance: f64,
+    /// Limits of the client's motion.
+    pub reach: Reach,
+    /// How room is made.
+    pub discards: Discards,
+    /// Whether a gain counts from the arrival of the bytes; otherwise from now.
+    pub gains_from_arrival: bool,
+    /// Whether every visible leaf is first given something.
+    pub cover_first: bool,
+    /// Requests are made while what is outstanding lasts less than the latency plus this, seconds.
+    pub slack_s: f64,
+    /// The predictor.
+    pub predictor: PredictorKind,
+}
+
+impl Default for ForesightSettings {
+    fn default() -> ForesightSettings {
+        ForesightSettings {
+            alpha: 0.7,
+            horizon_s: 4.0,
+            reuse_s: 0.25,
+            hysteresis: 0.1,
+            attenuation: 0.0,
+            request_cost_s: 0.0,
+            samples: 6,
+            cut: CutSettings { opening: 0.3, near: 0.1, centre_falloff: 0.0 },
+            tolerance: 2e-5,
+            reach: Reach::default(),
+            discards: Discards::Planned,
+            gains_from_arrival: true,
+            cover_first: true,
+            slack_s: 0.1,
+            predictor: PredictorKind::Mixture,
+        }
+    }
+}
+
+/// Candidates whose discards are worked out for one decision; the rest are worse even without any loss.
+const SWAPS_WEIGHED: usize = 12;
+
+/// A closure waiting for its turn. The ratio is an upper bound until it is evaluated for the present plan.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Candidate {
+    ratio: f64,
+    rep: RepId,
+}
+
+impl Eq for Candidate {}
+
+impl Ord for Candidate {
+    fn cmp(&self, other: &Candidate) -> Ordering {
+        self.ratio.total_cmp(&other.ratio).then(other.rep.cmp(&self.rep))
+    }
+}
+
+impl PartialOrd for Candidate {
+    fn partial_cmp(&self, other: &Candidate) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+/// A closure chosen, with what has to go for it.
+#[derive(Clone, Debug)]
+struct Choice {
+    ratio: f64,
+    rep: RepId,
+    members: Vec<RepId>,
+    discards: Vec<RepId>,
+}
+
+/// The policy.
+pub struct Foresight {
+    name: String,
+    settings: ForesightSettings,
+    predictor: Box<dyn Predictor>,
+    motion: Motion,
+    horizon: Horizon,
+    sampled: Option<Time>,
+    candidates: BinaryHeap<Candidate>,
+    victims: Victims,
+    victims_known: bool,
+    /// The planned set as this policy's own actions have left it; `None` when it must be read from the state.
+    plan: Option<Coverage>,
+    /// Rest of a closure that has been begun, and discards that must come first.
+    committed: VecDeque<Action>,
+    /// When each representation was last the best of something in view, in units of D.
+    last_used: Vec<u32>,
+    uses: u32,
+    gain: Vec<f64>,
+    touched: Vec<RepId>,
+    covered: bool,
+    mean_fetch_bytes: f64,
+}
+
+impl Foresight {
+    /// The policy under `name`.
+    pub fn new(name: impl Into<String>, settings: ForesightSettings) -> Foresight {
+        Foresight::with_predictor(name, settings, settings.predictor.build())
+    }
+
+    /// With a predictor of one's own: the simulator's `clairvoyant` knows the true path.
+    pub fn with_predictor(
+        name: impl Into<String>,
+        settings: ForesightSettings,
+        predictor: Box<dyn Predictor>,
+    ) -> Foresight {
+        Foresight {
+            name: name.into(),
+            settings,
+            predictor,
+            motion: Motion::default(),
+            horizon: Horizon::default(),
+            sampled: None,
+            candidates: BinaryHeap::new(),
+            victims: Victims::default(),
+            victims_known: false,
+            plan: None,
+            committed: VecDeque::new(),
+            last_used: Vec::new(),
+            uses: 0,
+            gain: Vec::new(),
+            touched: Vec::new(),
+            covered: false,
+            mean_fetch_bytes: 0.0,
+        }
+    }
+
+    /// Seconds from the horizon's start until a closure of `bytes` would be here.
+    fn arrival(&self, state: &ClientState, now: Time, bytes: u64) -> f64 {
+        if !self.settings.gains_from_arrival {
+            return 0.0;
+        }
+        let begun = self.sampled.map_or(0.0, |t| now.since(t).secs());
+        let queued = (state.outstanding_bytes() + bytes) as f64 / state.link.rate();
+        begun + state.link.latency_s() + queued
+    }
+
+    /// Samples the objective anew and ranks all candidates.
+    fn sample(&mut self, state: &ClientState, plan: &mut Coverage, now: Time) {
+        let Some(view) = state.view else { return };
+        let tree = state.tree;
+        let s = &self.settings;
+        let typical = state.link.latency_s() + self.mean_fetch_bytes / state.link.rate();
+        let epsilon = s.reuse_s.max(typical);
+        let delta = s.horizon_s.max(4.0 * epsilon);
+        let n = s.samples.max(1);
+        let bounds: Vec<f64> = (0..=n).map(|i| delta * i as f64 / n as f64).collect();
+        let middles: Vec<f64> = bounds.windows(2).map(|w| 0.5 * (w[0] + w[1])).collect();
+        let mut paths = self.predictor.predict(now, &middles);
+        if paths.is_empty() {
+            paths.push(crate::predict::PredictedPath { weight: 1.0, views: vec![view; n] });
+        }
+        let region = s.reach.region(self.motion.percentile(), epsilon);
+        let horizon =
+            HorizonSettings { alpha: s.alpha, attenuation: s.attenuation, tolerance: s.tolerance, cut: s.cut };
+        self.horizon.make(tree, plan, &paths, &bounds, (&view, region), &horizon);
+        self.sampled = Some(now);
+        self.uses += 1;
+        self.victims.clear();
+        self.victims_known = false;
+
+        // One pass over all patches gives every candidate's gain, with the earliest arrival any could have.
+        let earliest = self.arrival(state, now, 0);
+        self.gain.resize(tree.representations(), 0.0);
+        self.last_used.resize(tree.representations(), 0);
+        let (gain, touched, last_used, uses) = (&mut self.gain, &mut self.touched, &mut self.last_used, self.uses);
+        self.horizon.for_each(tree, plan, earliest, |patch, share, chain, present| {
+            if let (true, Some(owner)) = (present, chain.owner) {
+                for rep in tree.own(owner) {
+                    if plan.contains(rep) {
+                        last_used[rep.index()] = uses;
+                    }
+                }
+            }
+            if share <= 0.0 {
+                return;
+            }
+            let now_shown = crate::benefit::accuracy::accuracy(f64::from(chain.best), patch.sharpness);
+            if now_shown >= 1.0 {
+                return;
+            }
+            for node in tree.ancestors(patch.node) {
+                for rep in tree.own(node) {
+                    let error = tree.error(rep);
+                    if error < f64::from(chain.best) && !plan.contains(rep) {
+                        let added = crate::benefit::accuracy::accuracy(error, patch.sharpness) - now_shown;
+                        if gain[rep.index()] == 0.0 {
+                            touched.push(rep);
+                        }
+                        gain[rep.index()] += share * patch.weight * added;
+                    }
+                }
+            }
+        });
+        let mut ranked = core::mem::take(&mut self.candidates).into_vec();
+        ranked.clear();
+        for &rep in &self.touched {
+            if state.status(rep) != Status::Absent {
+                continue;
+            }
+            let members = closure(state, plan, rep);
+            let sum: f64 = members.iter().map(|m| self.gain[m.index()]).sum();
+            let ratio = sum / self.cost(state, &members);
+            if ratio > 0.0 {
+                ranked.push(Candidate { ratio, rep });
+            }
+        }
+        self.candidates = BinaryHeap::from(ranked);
+        for rep in self.touched.drain(..) {
+            self.gain[rep.index()] = 0.0;
+        }
+    }
+
+    /// Seconds of link that the closure occupies, c·M + o.
+    fn cost(&self, state: &ClientState, members: &[RepId]) -> f64 {
+        let bytes: u64 = members.iter().map(|&m| state.tree.wire_bytes(m)).sum();
+        bytes as f64 / state.link.rate() + self.settings.request_cost_s * members.len() as f64
+    }
+
+    /// ΔJ of the closure beside the plan, counted from `offset`.
+    fn closure_gain(&self, state: &ClientState, plan: &mut Coverage, members: &[RepId], offset: f64) -> f64 {
+        let tree = state.tree;
+        if let [only] = members
+            && plan.refinement() == Refinement::Partial
+        {
+            return self.horizon.marginal(tree, plan, *only, offset);
+        }
+        if plan.refinement() == Refinement::Partial {
+            let mut sum = 0.0;
+            for &member in members {
+                sum += self.horizon.marginal(tree, plan, member, offset);
+                plan.insert(tree, member);
+            }
+            for &member in members {
+                plan.remove(tree, member);
+            }
+            return sum;
+        }
+        let top = common_ancestor(state, members);
+        let before = self.horizon.benefit_beneath(tree, plan, top, offset);
+        for &member in members {
+            plan.insert(tree, member);
+        }
+        let after = self.horizon.benefit_beneath(tree, plan, top, offset);
+        for &member in members {
+            plan.remove(tree, member);
+        }
+        after - before
+    }
+
+    /// Ranks the residents by what discarding them would lose.
+    fn know_victims(&mut self, state: &ClientState, plan: &Coverage, offset: f64) {
+        if self.victims_known {
+            return;
+        }
+        self.victims_known = true;
+        let tree = state.tree;
+        // Only the best of each patch loses anything singly; one pass finds them, and the rest are free.
+        let (gain, touched) = (&mut self.gain, &mut self.touched);
+        self.horizon.for_each(tree, plan, offset, |_, share, chain, _| {
+            if let (true, Some(owner)) = (share > 0.0, chain.owner) {
+                for rep in tree.own(owner) {
+                    if plan.contains(rep) && gain[rep.index()] == 0.0 {
+                        gain[rep.index()] = 1.0;
+                        touched.push(rep);
+                    }
+                }
+            }
+        });
+        let planned = self.settings.discards == Discards::Planned;
+        for rep in state.residents() {
+            let used = gain[rep.index()] > 0.0;
+            let loss = if planned && used { self.horizon.marginal(tree, plan, rep, offset) } else { 0.0 };
+            let loss_per_byte = loss / tree.decoded_bytes(rep).max(1) as f64;
+            self.victims.push(Victim { loss_per_byte, last_used: self.last_used[rep.index()], rep });
+        }
+        for rep in touched.drain(..) {
+            gain[rep.index()] = 0.0;
+        }
+    }
+
+    /// The best closure that gains, with its discards; the plan is as before.
+    fn choose(&mut self, state: &ClientState, plan: &mut Coverage, now: Time) -> Option<Choice> {
+        let tree = state.tree;
+        let mut best: Option<Choice> = None;
+        let mut weighed = 0;
+        let mut passed_over = Vec::new();
+        while let Some(top) = self.candidates.pop() {
+            if best.as_ref().is_some_and(|b| b.ratio >= top.ratio) || weighed >= SWAPS_WEIGHED {
+                self.candidates.push(top);
+                break;
+            }
+            if state.status(top.rep) != Status::Absent || plan.contains(top.rep) {
+                continue;
+            }
+            let members = closure(state, plan, top.rep);
+            let bytes: u64 = members.iter().map(|&m| tree.wire_bytes(m)).sum();
+            let offset = self.arrival(state, now, bytes);
+            let gain = self.closure_gain(state, plan, &members, offset);
+            let cost = self.cost(state, &members);
+            let ratio = gain / cost;
+            if ratio <= 0.0 {
+                continue;
+            }
+            // Below the next one's bound? Then it has to wait for its turn again.
+            if self.candidates.peek().is_some_and(|next| next.ratio > ratio) && ratio < top.ratio {
+                self.candidates.push(Candidate { ratio, rep: top.rep });
+                continue;
+            }
+            let need: u64 = members.iter().map(|&m| state.request_bytes(m)).sum();
+            let free = state.free_bytes();
+            if need <= free {
+                if best.as_ref().is_none_or(|b| ratio > b.ratio) {
+                    best = Some(Choice { ratio, rep: top.rep, members, discards: Vec::new() });
+                } else {
+                    passed_over.push(Candidate { ratio, rep: top.rep });
+                }
+                break;
+            }
+            weighed += 1;
+            self.know_victims(state, plan, offset);
+            match self.swap(state, plan, &members, need - free, gain, offset) {
+                Some((discards, loss)) => {
+                    let net = (gain - loss) / cost;
+                    let candidate = Candidate { ratio: net, rep: top.rep };
+                    if best.as_ref().is_none_or(|b| net > b.ratio) {
+                        if let Some(b) = best.replace(Choice { ratio: net, rep: top.rep, members, discards }) {
+                            passed_over.push(Candidate { ratio: b.ratio, rep: b.rep });
+                        }
+                    } else {
+                        passed_over.push(candidate);
+                    }
+                }
+                // It cannot gain before the next sampling; discards since then only make it worse.
+                None => continue,
+            }
+        }
+        self.candidates.extend(passed_over);
+        best
+    }
+
+    /// Discards for a closure and their joint loss, or `None` if the swap does not gain. The plan is as before.
+    fn swap(
+        &mut self,
+        state: &ClientState,
+        plan: &mut Coverage,
+        members: &[RepId],
+        bytes: u64,
+        gain: f64,
+        offset: f64,
+    ) -> Option<(Vec<RepId>, f64)> {
+        let tree = state.tree;
+        for &member in members {
+            plan.insert(tree, member);
+        }
+        let may_go = |rep: RepId| {
+            state.status(rep) == Status::Resident && !state.is_needed(rep) && !needed_by(state, rep, members)
+        };
+        let last_used = &self.last_used;
+        let used = |rep: RepId| last_used[rep.index()];
+        let planned = self.settings.discards == Discards::Planned;
+        let mut replaced = Vec::new();
+        if planned {
+            for &member in members {
+                for node in tree.ancestors(tree.node_of(member)) {
+                    replaced.extend(tree.own(node).filter(|&r| plan.contains(r)));
+                }
+            }
+            replaced.sort_unstable();
+            replaced.dedup();
+        }
+        let limit = if planned { gain / (1.0 + self.settings.hysteresis) } else { f64::INFINITY };
+        let empty = Horizon::default();
+        // Without planning, nothing is lost as far as the policy knows: only recency orders the victims.
+        let horizon = if planned { &self.horizon } else { &empty };
+        let chosen = self.victims.choose(tree, horizon, plan, &replaced, bytes, offset, limit, used, may_go);
+        let swap = chosen.filter(|s| !planned || gain > (1.0 + self.settings.hysteresis) * s.loss).map(|s| {
+            self.victims.restore(tree, horizon, plan, &s.reps, offset, used);
+            (s.reps, s.loss)
+        });
+        for &member in members {
+            plan.remove(tree, member);
+        }
+        swap
+    }
+
+    /// At the start: the coarsest representation of what weighs most and is covered by nothing.
+    fn cover(&mut self, state: &ClientState, plan: &Coverage) -> Option<RepId> {
+        let tree = state.tree;
+        let (gain, touched) = (&mut self.gain, &mut self.touched);
+        self.horizon.for_each(tree, plan, 0.0, |patch, _, chain, present| {
+            if !present || chain.owner.is_some() {
+                return;
+            }
+            let coarsest = tree.ancestors(patch.node).filter_map(|n| tree.own(n).next()).last();
+            if let Some(rep) = coarsest {
+                if gain[rep.index()] == 0.0 {
+                    touched.push(rep);
+                }
+                gain[rep.index()] += patch.weight;
+            }
+        });
+        let per_byte = |r: RepId| gain[r.index()] / tree.wire_bytes(r) as f64;
+        let best = touched
+            .iter()
+            .copied()
+            .filter(|&r| state.status(r) == Status::Absent && state.request_bytes(r) <= state.free_bytes())
+            .max_by(|&a, &b| per_byte(a).total_cmp(&per_byte(b)).then(b.cmp(&a)));
+        for rep in touched.drain(..) {
+            gain[rep.index()] = 0.0;
+        }
+        best
+    }
+
+    /// A request that has lost its point: nothing gained by it any more, or far less than by the best candidate.
+    fn pointless_request(&mut self, state: &ClientState, plan: &Coverage, now: Time) -> Option<RepId> {
+        let asked: u64 = state.requests().iter().map(|r| state.tree.wire_bytes(r.rep)).sum();
+        let left = state.outstanding_bytes() as f64 / asked.max(1) as f64;
+        let best = self.candidates.peek().map_or(0.0, |c| c.ratio);
+        let offset = self.arrival(state, now, 0);
+        state.requests().iter().map(|r| r.rep).find(|&rep| {
+            let seconds = left * state.tree.wire_bytes(rep) as f64 / state.link.rate();
+            // What ends within a reuse period is not worth the bytes already charged.
+            seconds > self.settings.reuse_s
+                && !state.is_needed(rep)
+                && self.horizon.marginal(state.tree, plan, rep, offset) / seconds < 0.1 * best
+        })
+    }
+
+    fn decide_with(&mut self, state: &ClientState, plan: &mut Coverage, now: Time) -> Action {
+        let wait = Action::WaitUntil(now + Time::from_secs(1.0 / 60.0));
+        if state.view.is_none() {
+            return wait;
+        }
+        let due = self.sampled.is_none_or(|t| now.since(t).secs() >= self.settings.reuse_s);
+        if due {
+            self.sample(state, plan, now);
+            if let Some(rep) = self.pointless_request(state, plan, now) {
+                // What the request had doomed stays: read the plan anew.
+                self.plan = None;
+                self.sampled = None;
+                self.committed.clear();
+                return Action::Cancel(rep);
+            }
+        }
+        if let Some(action) = self.committed.pop_front() {
+            return action;
+        }
+        let link = &state.link;
+        if !state.requests().is_empty()
+            && state.outstanding_bytes() as f64 >= link.rate() * (link.latency_s() + self.settings.slack_s)
+        {
+            return wait;
+        }
+        if self.settings.cover_first && !self.covered {
+            if let Some(rep) = self.cover(state, plan) {
+                return Action::Fetch { rep, discard_on_arrival: Vec::new() };
+            }
+            self.covered = true;
+        }
+        let Some(choice) = self.choose(state, plan, now) else { return wait };
+        self.commit(state, choice)
+    }
+
+    /// Turns a choice into actions: discards wait for the arrival where memory allows.
+    fn commit(&mut self, state: &ClientState, choice: Choice) -> Action {
+        let tree = state.tree;
+        let mut discards = choice.discards;
+        if let [only] = choice.members[..] {
+            let handed_over: u64 = discards.iter().map(|&d| tree.decoded_bytes(d)).sum();
+            let reserve = tree.wire_bytes(only) + tree.decoded_bytes(only).saturating_sub(handed_over);
+            if reserve <= state.free_bytes() {
+                return Action::Fetch { rep: only, discard_on_arrival: discards };
+            }
+        }
+        self.committed.extend(discards.drain(..).map(Action::Discard));
+        let fetches = choice.members.iter().map(|&rep| Action::Fetch { rep, discard_on_arrival: Vec::new() });
+        self.committed.extend(fetches);
+        self.committed.pop_front().unwrap_or(Action::WaitUntil(Time::ZERO))
+    }
+}
+
+impl Policy for Foresight {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn observe(&mut self, _state: &ClientState, view: &View, now: Time) {
+        if self.motion.observe(view, now) {
+            // A teleport: nothing sampled before it holds.
+            self.sampled = None;
+            self.covered = false;
+        }
+        self.predictor.observe(view, now);
+    }
+
+    fn decide(&mut self, state: &ClientState, now: Time) -> Action {
+        let mut plan = self.plan.take().unwrap_or_else(|| state.hypothetical());
+        let action = self.decide_with(state, &mut plan, now);
+        match &action {
+            Action::Fetch { rep, discard_on_arrival } => {
+                for &doomed in discard_on_arrival {
+                    plan.remove(state.tree, doomed);
+                }
+                plan.insert(state.tree, *rep);
+                let bytes = state.tree.wire_bytes(*rep) as f64;
+                self.mean_fetch_bytes += 0.1 * (bytes - self.mean_fetch_bytes);
+            }
+            Action::Discard(rep) => {
+                plan.remove(state.tree, *rep);
+            }
+            Action::Cancel(_) => return action,
+            Action::WaitUntil(_) => {}
+        }
+        self.plan = Some(plan);
+        action
+    }
+
+    fn failed(&mut self, _state: &ClientState, _rep: RepId, _now: Time) {
+        self.plan = None;
+        self.sampled = None;
+        self.committed.clear();
+    }
+
+    fn announce_path(&mut self, path: &[(Time, View)]) {
+        self.predictor.announce_path(path);
+        self.sampled = None;
+    }
+}
+
+/// What must be fetched for `rep` to be of use, in order: missing prerequisites first, and under atomic refinement the
+/// missing members of its sibling group, each with its coarsest.
+fn closure(state: &ClientState, plan: &Coverage, rep: RepId) -> Vec<RepId> {
+    let tree = state.tree;
+    let mut members = Vec::new();
+    let mut with_prerequisites = |rep: RepId| {
+        let first = members.len();
+        let mut next = Some(rep);
+        while let Some(r) = next.filter(|&r| !plan.contains(r)) {
+            members.push(r);
+            next = tree.prerequisite(r);
+        }
+        members[first..].reverse();
+    };
+    if plan.refinement() == Refinement::Atomic {
+        let node = tree.node_of(rep);
+        if !plan.counts(tree, node) {
+            for sibling in tree.sibling_group(tree.content_parent(node)) {
+                if sibling != node && !tree.own(sibling).any(|r| plan.contains(r)) {
+                    tree.own(sibling).next().into_iter().for_each(&mut with_prerequisites);
+                }
+            }
+        }
+    }
+    with_prerequisites(rep);
+    members
+}
+
+/// Whether one of `members` needs `rep` first.
+fn needed_by(state: &ClientState, rep: RepId, members: &[RepId]) -> bool {
+    state.tree.has_prerequisites()
+        && members.iter().any(|&m| core::iter::successors(Some(m), |&r| state.tree.prerequisite(r)).any(|r| r == rep))
+}
+
+/// The lowest node above all of `members`.
+fn common_ancestor(state: &ClientState, members: &[RepId]) -> NodeId {
+    let tree = state.tree;
+    let mut top = members.first().map_or(tree.root(), |&m| tree.node_of(m));
+    for &member in members {
+        while !tree.is_beneath(tree.node_of(member), top) {
+            match tree.parent(top) {
+                Some(parent) => top = parent,
+                None => return top,
+            }
+        }
+    }
+    top
+}

@@ -1,0 +1,271 @@
+//! The objective over the time ahead, sampled: J(R) as a sum over patches.
+//!
+//! The integral of DESIGN §1 is a midpoint rule over intervals of [t, t+δ], one cut per interval and predicted path; the
+//! worst case is one more cut. Every patch then adds w·a(least error at or above it), with α, the path's belief, the
+//! attenuation and the cut's scale folded into w. Groups are opened until what could still be gained beneath them is
+//! below a tolerance, so that every choice that matters has its own patches.
+
+use crate::benefit::accuracy::accuracy;
+use crate::benefit::coverage::Coverage;
+use crate::benefit::cut::{Cut, CutSettings, Patch, Region, projected_area};
+use crate::lod_tree::{LodTree, NodeId, RepId};
+use crate::predict::PredictedPath;
+use crate::view::View;
+use crate::worst_case::union_cut;
+
+/// When a term of the objective counts, seconds from the horizon's start; the worst case counts always.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Span {
+    Interval { from: f64, to: f64 },
+    Always,
+}
+
+impl Span {
+    /// Share of the term that lies after `offset`.
+    fn after(self, offset: f64) -> f64 {
+        match self {
+            Span::Always => 1.0,
+            Span::Interval { from, to } => ((to - offset) / (to - from)).clamp(0.0, 1.0),
+        }
+    }
+}
+
+#[derive(Clone, Debug)]
+struct Term {
+    span: Span,
+    cut: Cut,
+}
+
+/// What the horizon is made of.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HorizonSettings {
+    /// α: share of the predicted paths in the objective; the rest is the worst case.
+    pub alpha: f64,
+    /// Attenuation rate per second: att(u) = exp(−rate·u). 0 is att ≡ 1.
+    pub attenuation: f64,
+    /// Groups are opened while more than this share of the frustum could be gained beneath them.
+    pub tolerance: f64,
+    /// How the cuts are made.
+    pub cut: CutSettings,
+}
+
+/// The sampled objective from one moment on.
+#[derive(Clone, Debug, Default)]
+pub struct Horizon {
+    terms: Vec<Term>,
+    /// Cuts of earlier horizons, kept for their memory.
+    spare: Vec<Cut>,
+    /// Scratch of the opening.
+    opened: Vec<Patch>,
+    /// Number of patches over all terms.
+    patches: usize,
+}
+
+/// Where a rep stands at a patch: the least errors of what is planned.
+#[derive(Clone, Copy, Debug)]
+pub struct Chain {
+    /// The node that owns the best, if anything is shown.
+    pub owner: Option<NodeId>,
+    /// Its error.
+    pub best: f32,
+}
+
+impl Horizon {
+    /// Samples the objective. `bounds` are the ends of the intervals in seconds, ascending from 0; each of `paths` has a
+    /// view per interval, at its middle. `worst` is the view and the region reachable from it.
+    pub fn make(
+        &mut self,
+        tree: &LodTree,
+        planned: &Coverage,
+        paths: &[PredictedPath],
+        bounds: &[f64],
+        worst: (&View, Region),
+        settings: &HorizonSettings,
+    ) {
+        self.spare.extend(self.terms.drain(..).map(|t| t.cut));
+        let att: Vec<f64> =
+            bounds.windows(2).map(|w| (w[1] - w[0]) * libm::exp(-settings.attenuation * 0.5 * (w[0] + w[1]))).collect();
+        let whole: f64 = att.iter().sum();
+        if settings.alpha > 0.0 && whole > 0.0 {
+            for path in paths {
+                for (i, view) in path.views.iter().enumerate().take(att.len()) {
+                    let mut cut = self.spare.pop().unwrap_or_default();
+                    cut.make(tree, view, Region::Frustum, &settings.cut);
+                    let span = Span::Interval { from: bounds[i], to: bounds[i + 1] };
+                    let factor = settings.alpha * path.weight * att[i] / whole;
+                    self.add(tree, planned, cut, span, factor, settings);
+                }
+            }
+        }
+        if settings.alpha < 1.0 {
+            let mut cut = self.spare.pop().unwrap_or_default();
+            union_cut(&mut cut, tree, worst.0, worst.1, &settings.cut);
+            self.add(tree, planned, cut, Span::Always, 1.0 - settings.alpha, settings);
+        }
+        self.patches = self.terms.iter().map(|t| t.cut.patches.len()).sum();
+    }
+
+    fn add(
+        &mut self,
+        tree: &LodTree,
+        planned: &Coverage,
+        mut cut: Cut,
+        span: Span,
+        factor: f64,
+        settings: &HorizonSettings,
+    ) {
+        let scale = factor * cut.scale;
+        // The tolerance is on the objective: a term of little weight need not be opened far.
+        let tolerance = settings.tolerance;
+        self.opened.clear();
+        for patch in &cut.patches {
+            let patch = Patch { weight: patch.weight * scale, ..*patch };
+            let above = planned.best_above(tree, patch.node);
+            open(tree, planned, cut.eye, patch, above, tolerance, &mut self.opened);
+        }
+        core::mem::swap(&mut cut.patches, &mut self.opened);
+        self.terms.push(Term { span, cut });
+    }
+
+    /// Patches over all terms: what an evaluation costs.
+    pub fn patches(&self) -> usize {
+        self.patches
+    }
+
+    /// ΔJ of having `rep` beside everything else in `planned`, counted from `offset` seconds on: a gain if it is not
+    /// planned, the loss of discarding it if it is.
+    pub fn marginal(&self, tree: &LodTree, planned: &Coverage, rep: RepId, offset: f64) -> f64 {
+        let node = tree.node_of(rep);
+        let error = tree.error(rep) as f32;
+        let mut above = f32::INFINITY;
+        if planned.counts(tree, node) {
+            for other in tree.own(node) {
+                if other != rep && planned.contains(other) {
+                    above = above.min(tree.error(other) as f32);
+                }
+            }
+        }
+        if let Some(parent) = tree.parent(node) {
+            above = above.min(planned.best_above(tree, parent));
+        }
+        if error >= above {
+            return 0.0;
+        }
+        let mut sum = 0.0;
+        for term in &self.terms {
+            let share = term.span.after(offset);
+            if share <= 0.0 {
+                continue;
+            }
+            let mut part = 0.0;
+            for patch in &term.cut.patches[term.cut.beneath(tree, node)] {
+                let mut others = above;
+                let mut n = patch.node;
+                while n != node {
+                    others = others.min(planned.best_at(n));
+                    match tree.parent(n) {
+                        Some(parent) => n = parent,
+                        None => break,
+                    }
+                }
+                if error < others {
+                    part += patch.weight
+                        * (accuracy(f64::from(error), patch.sharpness) - accuracy(f64::from(others), patch.sharpness));
+                }
+            }
+            sum += share * part;
+        }
+        sum
+    }
+
+    /// Σ w·a over what lies beneath `node`, counted from `offset` on.
+    pub fn benefit_beneath(&self, tree: &LodTree, planned: &Coverage, node: NodeId, offset: f64) -> f64 {
+        let above = tree.parent(node).map_or(f32::INFINITY, |p| planned.best_above(tree, p));
+        let mut sum = 0.0;
+        for term in &self.terms {
+            let share = term.span.after(offset);
+            let mut part = 0.0;
+            for patch in &term.cut.patches[term.cut.beneath(tree, node)] {
+                let mut best = above;
+                let mut n = patch.node;
+                loop {
+                    best = best.min(planned.best_at(n));
+                    match tree.parent(n) {
+                        Some(parent) if n != node => n = parent,
+                        _ => break,
+                    }
+                }
+                part += patch.weight * accuracy(f64::from(best), patch.sharpness);
+            }
+            sum += share * part;
+        }
+        sum
+    }
+
+    /// J(R), sampled.
+    pub fn objective(&self, tree: &LodTree, planned: &Coverage) -> f64 {
+        self.benefit_beneath(tree, planned, tree.root(), 0.0)
+    }
+
+    /// Visits every patch with the chain above it: `visit(patch, share after offset, chain, is the present view)`.
+    pub fn for_each(
+        &self,
+        tree: &LodTree,
+        planned: &Coverage,
+        offset: f64,
+        mut visit: impl FnMut(&Patch, f64, Chain, bool),
+    ) {
+        for (i, term) in self.terms.iter().enumerate() {
+            let share = term.span.after(offset);
+            for patch in &term.cut.patches {
+                let mut chain = Chain { owner: None, best: f32::INFINITY };
+                for above in tree.ancestors(patch.node) {
+                    let error = planned.best_at(above);
+                    if error < chain.best {
+                        chain = Chain { owner: Some(above), best: error };
+                    }
+                }
+                visit(patch, share, chain, i == 0);
+            }
+        }
+    }
+}
+
+/// Opens `patch` until nothing beneath it could gain more than `tolerance`, in preorder.
+fn open(
+    tree: &LodTree,
+    planned: &Coverage,
+    eye: glam::DVec3,
+    patch: Patch,
+    above: f32,
+    tolerance: f64,
+    out: &mut Vec<Patch>,
+) {
+    let worth_opening =
+        |weight: f64, best: f32| weight * (1.0 - accuracy(f64::from(best), patch.sharpness)) > tolerance;
+    if tree.is_leaf(patch.node) || !worth_opening(patch.weight, above) {
+        out.push(patch);
+        return;
+    }
+    let direction = (tree.centre(patch.node) - eye).normalize_or_zero();
+    let whole = projected_area(tree, patch.node, direction);
+    if whole <= 0.0 {
+        out.push(patch);
+        return;
+    }
+    let density = patch.weight / whole;
+    let end = tree.subtree_end(patch.node);
+    let mut next = NodeId(patch.node.0 + 1);
+    while next < end {
+        let weight = density * projected_area(tree, next, direction);
+        // The error above is that of the whole chain; walking up is cheaper than keeping a stack, because most
+        // children are leaves or not worth opening.
+        let best = planned.best_above(tree, next);
+        if tree.is_leaf(next) || !worth_opening(weight, best) {
+            out.push(Patch { node: next, weight, sharpness: patch.sharpness });
+            next = tree.subtree_end(next);
+        } else {
+            next = NodeId(next.0 + 1);
+        }
+    }
+}
