@@ -8,7 +8,6 @@ use crate::state::{ClientState, Status};
 use crate::transfer::TransferEstimate;
 use crate::units::Time;
 use crate::view::{View, ViewError};
-use std::collections::VecDeque;
 
 /// What the client shall do.
 #[derive(Clone, Debug, PartialEq)]
@@ -103,8 +102,6 @@ pub struct Scheduler<'a> {
     state: ClientState<'a>,
     policy: Box<dyn Policy + 'a>,
     latest: Time,
-    /// Discards that an arrival has set off, to be told before anything else.
-    pending_discards: VecDeque<RepId>,
 }
 
 impl<'a> Scheduler<'a> {
@@ -115,7 +112,6 @@ impl<'a> Scheduler<'a> {
             state: ClientState::new(tree, settings.budget, settings.refinement, link),
             policy,
             latest: Time::ZERO,
-            pending_discards: VecDeque::new(),
         }
     }
 
@@ -188,16 +184,14 @@ impl<'a> Scheduler<'a> {
         Ok(())
     }
 
-    /// The last byte of `rep` came at `now`; it will be decoded. Ask [`Scheduler::next`] before decoding: discards that
-    /// waited for this arrival free the memory.
-    pub fn arrived(&mut self, rep: RepId, now: Time) -> Result<(), SchedulerError> {
+    /// The last byte of `rep` came at `now`; it will be decoded. Returns the discards that waited for this arrival: the
+    /// client frees them before it decodes.
+    pub fn arrived(&mut self, rep: RepId, now: Time) -> Result<Vec<RepId>, SchedulerError> {
         self.expect(rep, "arrived", &[Status::InFlight])?;
         self.pass(now)?;
-        if let Some(request) = self.state.end_request(rep, now) {
-            self.state.arrive(&request);
-            self.pending_discards.extend(&request.discard_on_arrival);
-        }
-        Ok(())
+        let Some(request) = self.state.end_request(rep, now) else { return Ok(Vec::new()) };
+        self.state.arrive(&request);
+        Ok(request.discard_on_arrival)
     }
 
     /// `rep` can be shown from `now` on. A client decodes a representation after its prerequisite.
@@ -224,9 +218,6 @@ impl<'a> Scheduler<'a> {
     /// What to do now. Ask again after obeying, until the answer is `WaitUntil`.
     pub fn next(&mut self, now: Time) -> Result<Action, SchedulerError> {
         self.pass(now)?;
-        if let Some(rep) = self.pending_discards.pop_front() {
-            return Ok(Action::Discard(rep));
-        }
         let action = self.policy.decide(&self.state, now);
         match &action {
             Action::Fetch { rep, discard_on_arrival } => {

@@ -1,4 +1,10 @@
 //! Replays camera paths over worlds and links, and compares prefetch policies.
 
+pub mod bound;
+pub mod client;
+pub mod flight;
 pub mod link;
 pub mod outcome;
+pub mod pressure;
+pub mod replay;
+pub mod stopwatch;

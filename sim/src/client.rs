@@ -1,0 +1,129 @@
+//! The simulated client's own work: decoding on a few workers, uploading within a budget per frame.
+
+use foresight_scheduler::lod_tree::{LodTree, RepId};
+use foresight_scheduler::units::Time;
+use std::collections::VecDeque;
+
+/// What the client can do.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ClientSettings {
+    /// Decoded bytes per second and worker.
+    pub decode_rate: f64,
+    /// Decoding workers.
+    pub decode_workers: usize,
+    /// Decoded bytes uploaded per tick (1/60 s). What is larger takes several.
+    pub upload_bytes_per_tick: u64,
+}
+
+impl Default for ClientSettings {
+    fn default() -> ClientSettings {
+        ClientSettings { decode_rate: 200e6, decode_workers: 2, upload_bytes_per_tick: 8 << 20 }
+    }
+}
+
+/// Representations between their last byte and their first frame, in order of arrival.
+#[derive(Clone, Debug)]
+pub struct Pipeline {
+    settings: ClientSettings,
+    /// When each worker is free.
+    workers: Vec<Time>,
+    /// Decoding, with the time when it ends, in order of arrival.
+    decoding: VecDeque<(RepId, Time)>,
+    /// Bytes of the first that were uploaded in earlier ticks.
+    uploaded: u64,
+}
+
+impl Pipeline {
+    /// An idle client.
+    pub fn new(settings: ClientSettings) -> Pipeline {
+        let workers = vec![Time::ZERO; settings.decode_workers.max(1)];
+        Pipeline { settings, workers, decoding: VecDeque::new(), uploaded: 0 }
+    }
+
+    /// The last byte of `rep` came at `now`.
+    pub fn arrived(&mut self, tree: &LodTree, rep: RepId, now: Time) {
+        let work = Time::from_secs(tree.decoded_bytes(rep) as f64 / self.settings.decode_rate);
+        let mut first = 0;
+        for (i, free) in self.workers.iter().enumerate() {
+            if *free < self.workers[first] {
+                first = i;
+            }
+        }
+        let done = now.max(self.workers[first]) + work;
+        self.workers[first] = done;
+        self.decoding.push_back((rep, done));
+    }
+
+    /// Uploads within one tick's budget; `ready` says whether a representation's prerequisite can be shown already, and
+    /// `shown` is told what can be shown from now on. Uploads are made in order of arrival among those that are ready.
+    pub fn upload(&mut self, tree: &LodTree, now: Time, ready: impl Fn(RepId) -> bool, mut shown: impl FnMut(RepId)) {
+        let mut budget = self.settings.upload_bytes_per_tick;
+        while let Some(place) = self.decoding.iter().position(|&(rep, done)| done <= now && ready(rep)) {
+            let rep = self.decoding[place].0;
+            // A partial upload belongs to the one that was first; another only takes its place when it was not ready.
+            let left = tree.decoded_bytes(rep).saturating_sub(if place == 0 { self.uploaded } else { 0 });
+            if left > budget {
+                if place == 0 {
+                    self.uploaded += budget;
+                    return;
+                }
+                // What exceeds a whole budget by itself must not wait for ever behind one that is not ready.
+                if left <= self.settings.upload_bytes_per_tick {
+                    return;
+                }
+            }
+            budget = budget.saturating_sub(left);
+            if place == 0 {
+                self.uploaded = 0;
+            }
+            self.decoding.remove(place);
+            shown(rep);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use foresight_scheduler::lod_tree::{Aabb, LodTreeBuilder, Representation};
+    use glam::DVec3;
+
+    fn tree(decoded: &[u32]) -> LodTree {
+        let mut b = LodTreeBuilder::default();
+        b.open().unwrap();
+        for &decoded_bytes in decoded {
+            b.add(Representation { wire_bytes: 1, decoded_bytes, error: 0.0, prerequisite: None, direction: None })
+                .unwrap();
+        }
+        b.close(Some(Aabb { min: DVec3::ZERO, max: DVec3::ONE }), 1.0).unwrap();
+        b.finish().unwrap()
+    }
+
+    #[test]
+    fn workers_share_the_decoding_and_uploads_are_spread() {
+        let tree = tree(&[1000, 1000, 1000, 2500]);
+        let settings = ClientSettings { decode_rate: 1000.0, decode_workers: 2, upload_bytes_per_tick: 1000 };
+        let mut pipeline = Pipeline::new(settings);
+        for rep in 0..4 {
+            pipeline.arrived(&tree, RepId(rep), Time::ZERO);
+        }
+        let mut seen = Vec::new();
+        for second in 0..8 {
+            let now = Time::from_secs(second as f64);
+            pipeline.upload(&tree, now, |_| true, |rep| seen.push((second, rep.0)));
+        }
+        // Two decoded at 1 s, a third at 2 s, the fourth at 1 + 2.5 s; one upload's worth a tick.
+        assert_eq!(seen, [(1, 0), (2, 1), (3, 2), (6, 3)]);
+    }
+
+    #[test]
+    fn what_waits_for_its_prerequisite_lets_others_pass() {
+        let tree = tree(&[10, 10]);
+        let mut pipeline = Pipeline::new(ClientSettings::default());
+        pipeline.arrived(&tree, RepId(0), Time::ZERO);
+        pipeline.arrived(&tree, RepId(1), Time::ZERO);
+        let mut seen = Vec::new();
+        pipeline.upload(&tree, Time::from_secs(1.0), |rep| rep != RepId(0), |rep| seen.push(rep));
+        assert_eq!(seen, [RepId(1)]);
+    }
+}

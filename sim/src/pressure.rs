@@ -1,0 +1,127 @@
+//! Whether a comparison can mean anything: what the path needs against what link and memory give (DESIGN §3).
+
+use foresight_scheduler::benefit::accuracy::{HALF_ACCURACY_PX, RIVALS_TARGET_PX};
+use foresight_scheduler::benefit::cut::Cut;
+use foresight_scheduler::lod_tree::{LodTree, NodeId, RepId};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Calls `need` with every representation of the coarsest set that shows each leaf of the cut at no more than 16 px of
+/// error, prerequisites included; where nothing is good enough, with the best there is. May repeat itself.
+pub fn for_each_needed(tree: &LodTree, cut: &Cut, mut need: impl FnMut(RepId)) {
+    let mut closure = |rep: RepId| {
+        for r in core::iter::successors(Some(rep), |&r| tree.prerequisite(r)) {
+            need(r);
+        }
+    };
+    let good = |node: NodeId, limit: f64| {
+        tree.own(node)
+            .filter(|&r| tree.error(r) <= limit)
+            .max_by(|&a, &b| tree.error(a).total_cmp(&tree.error(b)).then(b.cmp(&a)))
+    };
+    for patch in &cut.patches {
+        // 16 px at this patch's distance, in metres.
+        let limit = RIVALS_TARGET_PX / HALF_ACCURACY_PX / patch.sharpness.sqrt();
+        if let Some(rep) = tree.ancestors(patch.node).filter_map(|n| good(n, limit)).last() {
+            closure(rep);
+            continue;
+        }
+        let end = tree.subtree_end(patch.node);
+        let mut next = NodeId(patch.node.0 + 1);
+        let mut served = patch.node.0 + 1 == end.0;
+        if served {
+            finest(tree, patch.node).into_iter().for_each(&mut closure);
+        }
+        while next < end {
+            served = true;
+            match good(next, limit) {
+                Some(rep) => {
+                    closure(rep);
+                    next = tree.subtree_end(next);
+                }
+                None => {
+                    if tree.is_leaf(next) {
+                        finest(tree, next).into_iter().for_each(&mut closure);
+                    }
+                    next = NodeId(next.0 + 1);
+                }
+            }
+        }
+        debug_assert!(served, "a patch has leaves");
+    }
+}
+
+/// The best that there is for a leaf.
+fn finest(tree: &LodTree, leaf: NodeId) -> Option<RepId> {
+    tree.ancestors(leaf)
+        .flat_map(|n| tree.own(n))
+        .min_by(|&a, &b| tree.error(a).total_cmp(&tree.error(b)).then(a.cmp(&b)))
+}
+
+/// Needs of a whole flight.
+#[derive(Clone, Debug, Default)]
+pub struct Needs {
+    /// One a frame, in order of id, each once.
+    pub frames: Vec<Vec<RepId>>,
+    /// Wire bytes of the union of all.
+    pub union_bytes: u64,
+    /// Decoded bytes of the largest.
+    pub largest_bytes: u64,
+}
+
+impl Needs {
+    /// Works out the needs of every frame.
+    pub fn new(tree: &LodTree, cuts: &[Cut]) -> Needs {
+        let mut needs = Needs::default();
+        let mut in_union = vec![false; tree.representations()];
+        for cut in cuts {
+            let mut frame = Vec::new();
+            for_each_needed(tree, cut, |rep| frame.push(rep));
+            frame.sort_unstable();
+            frame.dedup();
+            let mut decoded = 0;
+            for &rep in &frame {
+                decoded += tree.decoded_bytes(rep);
+                if !in_union[rep.index()] {
+                    in_union[rep.index()] = true;
+                    needs.union_bytes += tree.wire_bytes(rep);
+                }
+            }
+            needs.largest_bytes = needs.largest_bytes.max(decoded);
+            needs.frames.push(frame);
+        }
+        needs
+    }
+
+    /// Wire bytes that become needed after the first frame when a memory of `budget` decoded bytes forgets the least
+    /// recently needed first, re-fetches included.
+    pub fn newly_needed_bytes(&self, tree: &LodTree, budget: u64) -> u64 {
+        let mut last: BTreeMap<RepId, u32> = BTreeMap::new();
+        let mut order: BTreeSet<(u32, RepId)> = BTreeSet::new();
+        let (mut held, mut fetched) = (0u64, 0u64);
+        for (frame, needed) in self.frames.iter().enumerate() {
+            let frame = frame as u32;
+            for &rep in needed {
+                match last.insert(rep, frame) {
+                    Some(before) => {
+                        order.remove(&(before, rep));
+                    }
+                    None => {
+                        held += tree.decoded_bytes(rep);
+                        if frame > 0 {
+                            fetched += tree.wire_bytes(rep);
+                        }
+                    }
+                }
+                order.insert((frame, rep));
+            }
+            while held > budget {
+                // What this frame needs is not forgotten in it, even if it alone exceeds the budget.
+                let Some(&(oldest, rep)) = order.first().filter(|(seen, _)| *seen < frame) else { break };
+                order.remove(&(oldest, rep));
+                last.remove(&rep);
+                held -= tree.decoded_bytes(rep);
+            }
+        }
+        fetched
+    }
+}

@@ -1,0 +1,327 @@
+//! The discrete-event simulator: one policy, one flight, one link.
+//!
+//! Events are ordered in integer nanoseconds. Transfers share the link by processor sharing; what has arrived is decoded
+//! and uploaded; at every tick (60 Hz) the scheduler observes the true view and is asked what to do; at every second
+//! tick the frame is judged by what can be shown.
+
+use crate::client::{ClientSettings, Pipeline};
+use crate::flight::{Flight, TICKS_PER_FRAME, tick_time};
+use crate::link::LinkTrace;
+use crate::link::shared::SharedLink;
+use crate::stopwatch::Stopwatch;
+use foresight_scheduler::benefit::cut::Cut;
+use foresight_scheduler::benefit::quality::{Quality, evaluate};
+use foresight_scheduler::lod_tree::{LodTree, RepId};
+use foresight_scheduler::policy::Policy;
+use foresight_scheduler::scheduler::{Action, Scheduler, SchedulerError, SchedulerSettings};
+use foresight_scheduler::state::Status;
+use foresight_scheduler::units::Time;
+use std::collections::VecDeque;
+
+/// Actions that a policy may take in one tick before it is called runaway.
+const ACTIONS_PER_TICK_MAX: usize = 100_000;
+
+/// Everything that a replay needs and no policy changes.
+#[derive(Clone, Copy)]
+pub struct Stage<'a> {
+    /// The world.
+    pub tree: &'a LodTree,
+    /// The camera.
+    pub flight: &'a Flight,
+    /// One a sampled frame.
+    pub cuts: &'a [Cut],
+    /// The link.
+    pub link: &'a LinkTrace,
+    /// Where in the link the replay starts.
+    pub link_start: Time,
+    /// What the client can do.
+    pub client: ClientSettings,
+    /// Memory and refinement.
+    pub scheduler: SchedulerSettings,
+    /// Resident from the start.
+    pub preloaded: &'a [RepId],
+}
+
+/// Why a replay stopped.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum ReplayError {
+    /// The scheduler refused an event or an action.
+    #[error("at {at_s:.3} s: {source}")]
+    Scheduler {
+        /// When.
+        at_s: f64,
+        /// What.
+        #[source]
+        source: SchedulerError,
+    },
+    /// A policy never came to rest.
+    #[error("at {at_s:.3} s: the policy took more than {ACTIONS_PER_TICK_MAX} actions in one tick")]
+    Runaway {
+        /// When.
+        at_s: f64,
+    },
+    /// The memory budget was exceeded: a bug, found by the simulator's own account.
+    #[error("at {at_s:.3} s: {used} bytes are in use, the budget is {budget}")]
+    Budget {
+        /// When.
+        at_s: f64,
+        /// By the simulator's account.
+        used: u64,
+        /// As set.
+        budget: u64,
+    },
+}
+
+/// What can be shown from when on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Completion {
+    /// When.
+    pub at: Time,
+    /// What.
+    pub rep: RepId,
+}
+
+/// What one replay yielded.
+#[derive(Clone, Debug, Default)]
+pub struct Run {
+    /// One a sampled frame.
+    pub frames: Vec<Quality>,
+    /// Memory in use at each sampled frame, bytes.
+    pub memory: Vec<u64>,
+    /// Bytes that had crossed the link at each sampled frame.
+    pub received: Vec<u64>,
+    /// Completions in order.
+    pub completions: Vec<Completion>,
+    /// Bytes that crossed the link.
+    pub bytes_fetched: u64,
+    /// Of these, bytes of what was never the best of anything in view.
+    pub bytes_wasted: u64,
+    /// Of these, bytes of requests that were cancelled.
+    pub bytes_cancelled: u64,
+    /// Bytes of requests still under way at the end.
+    pub bytes_unfinished: u64,
+    /// Discards.
+    pub evictions: u64,
+    /// Ticks at which the policy did something.
+    pub decisions: u64,
+    /// Real time that such ticks took the scheduler.
+    pub decision_nanos: Vec<u64>,
+}
+
+/// A request under way.
+#[derive(Clone, Copy, Debug)]
+struct Transfer {
+    id: u64,
+    rep: RepId,
+    joins: Time,
+}
+
+/// The state of one replay between ticks.
+struct Replay<'a> {
+    stage: Stage<'a>,
+    scheduler: Scheduler<'a>,
+    link: SharedLink,
+    pipeline: Pipeline,
+    transfers: Vec<Transfer>,
+    /// Transfers that have not had their first byte, in order of time.
+    joining: VecDeque<Transfer>,
+    next_id: u64,
+    /// Simulator's own account of memory, independent of the scheduler's.
+    held: u64,
+    /// Whether each was the best of something in view since it was last fetched, or was there from the start.
+    was_best: Vec<bool>,
+    run: Run,
+    arrivals: Vec<(u64, Time)>,
+}
+
+/// Replays `policy` over the stage.
+pub fn replay<'a>(stage: Stage<'a>, policy: Box<dyn Policy + 'a>) -> Result<Run, ReplayError> {
+    let mut replay = Replay {
+        stage,
+        scheduler: Scheduler::new(stage.tree, stage.scheduler, policy),
+        link: SharedLink::new(stage.link, stage.link_start),
+        pipeline: Pipeline::new(stage.client),
+        transfers: Vec::new(),
+        joining: VecDeque::new(),
+        next_id: 0,
+        held: 0,
+        was_best: vec![false; stage.tree.representations()],
+        run: Run::default(),
+        arrivals: Vec::new(),
+    };
+    for &rep in stage.preloaded {
+        replay.scheduler.preload(rep).map_err(|source| ReplayError::Scheduler { at_s: 0.0, source })?;
+        replay.held += stage.tree.decoded_bytes(rep);
+        replay.was_best[rep.index()] = true;
+    }
+    for tick in 0..stage.flight.views.len() as u64 {
+        let now = tick_time(tick);
+        replay.tick(tick, now).map_err(|e| match e {
+            Failure::Scheduler(source) => ReplayError::Scheduler { at_s: now.secs(), source },
+            Failure::Runaway => ReplayError::Runaway { at_s: now.secs() },
+        })?;
+        let (used, budget) = (replay.held, stage.scheduler.budget);
+        if used > budget {
+            return Err(ReplayError::Budget { at_s: now.secs(), used, budget });
+        }
+    }
+    Ok(replay.finish())
+}
+
+enum Failure {
+    Scheduler(SchedulerError),
+    Runaway,
+}
+
+impl From<SchedulerError> for Failure {
+    fn from(error: SchedulerError) -> Failure {
+        Failure::Scheduler(error)
+    }
+}
+
+impl Replay<'_> {
+    fn tick(&mut self, tick: u64, now: Time) -> Result<(), Failure> {
+        self.receive(now)?;
+        self.show(now)?;
+        let in_flight: u64 = self.transfers.iter().map(|t| self.link.delivered(t.id)).sum();
+        let total = self.link.total_delivered();
+        self.scheduler.progress(in_flight, total, now)?;
+
+        let watch = Stopwatch::start();
+        self.scheduler.observe(&self.stage.flight.views[tick as usize], now)?;
+        let mut acted = 0;
+        loop {
+            match self.scheduler.next(now)? {
+                Action::WaitUntil(_) => break,
+                Action::Fetch { rep, .. } => self.fetch(rep, now),
+                Action::Cancel(rep) => self.cancel(rep, now),
+                Action::Discard(rep) => self.discard(rep),
+            }
+            acted += 1;
+            if acted > ACTIONS_PER_TICK_MAX {
+                return Err(Failure::Runaway);
+            }
+        }
+        if acted > 0 {
+            self.run.decisions += 1;
+            self.run.decision_nanos.push(watch.nanos());
+        }
+        if tick.is_multiple_of(TICKS_PER_FRAME) {
+            self.judge((tick / TICKS_PER_FRAME) as usize, total);
+        }
+        Ok(())
+    }
+
+    /// First and last bytes up to `now`, in order of time.
+    fn receive(&mut self, now: Time) -> Result<(), Failure> {
+        self.arrivals.clear();
+        self.link.advance(now, &mut self.arrivals);
+        let arrivals = core::mem::take(&mut self.arrivals);
+        for &(id, at) in &arrivals {
+            self.respond(at)?;
+            let Some(place) = self.transfers.iter().position(|t| t.id == id) else { continue };
+            let rep = self.transfers.remove(place).rep;
+            for doomed in self.scheduler.arrived(rep, at)? {
+                self.discard(doomed);
+            }
+            self.held += self.stage.tree.decoded_bytes(rep);
+            self.pipeline.arrived(self.stage.tree, rep, at);
+        }
+        self.arrivals = arrivals;
+        self.respond(now)
+    }
+
+    fn respond(&mut self, until: Time) -> Result<(), Failure> {
+        while let Some(first) = self.joining.front().copied().filter(|t| t.joins <= until) {
+            self.joining.pop_front();
+            // Cancelled ones are gone from the list of transfers.
+            if self.transfers.iter().any(|t| t.id == first.id) {
+                self.scheduler.responded(first.rep, first.joins)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Uploads what is decoded.
+    fn show(&mut self, now: Time) -> Result<(), Failure> {
+        let tree = self.stage.tree;
+        loop {
+            let mut completed = Vec::new();
+            let state = self.scheduler.state();
+            // Prerequisites shown in this very tick count: an upload keeps the order of arrival.
+            let ready = |rep: RepId| {
+                tree.prerequisite(rep).is_none_or(|p| matches!(state.status(p), Status::Resident | Status::Doomed))
+            };
+            self.pipeline.upload(tree, now, ready, |rep| completed.push(rep));
+            for &rep in &completed {
+                self.scheduler.completed(rep, now)?;
+                self.held -= tree.wire_bytes(rep);
+                self.was_best[rep.index()] = false;
+                self.run.completions.push(Completion { at: now, rep });
+            }
+            if completed.is_empty() || !tree.has_prerequisites() {
+                return Ok(());
+            }
+        }
+    }
+
+    fn fetch(&mut self, rep: RepId, now: Time) {
+        let transfer = Transfer { id: self.next_id, rep, joins: now + self.stage.link.rtt() };
+        self.next_id += 1;
+        let bytes = self.stage.tree.wire_bytes(rep);
+        self.link.start(transfer.id, bytes, now);
+        self.held += bytes;
+        self.transfers.push(transfer);
+        self.joining.push_back(transfer);
+    }
+
+    fn cancel(&mut self, rep: RepId, now: Time) {
+        if let Some(place) = self.transfers.iter().position(|t| t.rep == rep) {
+            let transfer = self.transfers.remove(place);
+            self.run.bytes_cancelled += self.link.cancel(transfer.id, now);
+            self.held -= self.stage.tree.wire_bytes(rep);
+        }
+    }
+
+    fn discard(&mut self, rep: RepId) {
+        self.run.evictions += 1;
+        self.held -= self.stage.tree.decoded_bytes(rep);
+        self.charge_if_wasted(rep);
+    }
+
+    fn charge_if_wasted(&mut self, rep: RepId) {
+        if !self.was_best[rep.index()] {
+            self.run.bytes_wasted += self.stage.tree.wire_bytes(rep);
+        }
+    }
+
+    /// Judges the frame by what can be shown.
+    fn judge(&mut self, frame: usize, received: u64) {
+        let cut = &self.stage.cuts[frame];
+        let tree = self.stage.tree;
+        let resident = self.scheduler.state().resident();
+        let was_best = &mut self.was_best;
+        let quality = evaluate(tree, cut, resident, |part| {
+            if let Some(owner) = part.owner {
+                for rep in tree.own(owner) {
+                    if resident.contains(rep) && tree.error(rep) as f32 == part.error {
+                        was_best[rep.index()] = true;
+                    }
+                }
+            }
+        });
+        self.run.frames.push(quality);
+        self.run.memory.push(self.scheduler.state().used_bytes());
+        self.run.received.push(received);
+    }
+
+    fn finish(mut self) -> Run {
+        self.run.bytes_unfinished = self.transfers.iter().map(|t| self.link.delivered(t.id)).sum();
+        self.run.bytes_fetched = self.link.total_delivered();
+        let left: Vec<RepId> = self.scheduler.state().resident().iter().collect();
+        for rep in left {
+            self.charge_if_wasted(rep);
+        }
+        self.run
+    }
+}
