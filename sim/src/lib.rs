@@ -1,3 +1,4 @@
 //! Replays camera paths over worlds and links, and compares prefetch policies.
 
 pub mod outcome;
+pub mod report;
