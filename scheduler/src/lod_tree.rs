@@ -413,7 +413,7 @@ impl LodTree {
     }
 
     /// The representations that the node owns.
-    pub fn own(&self, node: NodeId) -> impl DoubleEndedIterator<Item = RepId> + ExactSizeIterator + use<> {
+    pub fn own(&self, node: NodeId) -> impl DoubleEndedIterator<Item = RepId> + ExactSizeIterator + Clone + use<> {
         (self.first_rep[node.index()]..self.first_rep[node.index() + 1]).map(RepId)
     }
 

@@ -7,4 +7,5 @@ pub mod link;
 pub mod outcome;
 pub mod pressure;
 pub mod replay;
+pub mod report;
 pub mod stopwatch;

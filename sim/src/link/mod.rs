@@ -5,7 +5,7 @@
 
 mod built_in;
 pub mod parse;
-mod shared;
+pub mod shared;
 mod trace;
 
 #[cfg(test)]

@@ -1,0 +1,66 @@
+//! A comparison for people: a table for the terminal, a page for the browser.
+
+mod downsample;
+mod headline;
+mod map;
+mod metric;
+mod number;
+mod page;
+mod plot;
+mod table;
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+pub use table::table;
+
+use crate::outcome::Comparison;
+
+/// The report as one self-contained HTML page: no script, nothing loaded from anywhere, for light and dark, from 320 px
+/// of width. Equal comparisons give equal bytes.
+pub fn html(comparison: &Comparison) -> String {
+    page::page(comparison, None)
+}
+
+/// [`html`] with the command that repeats the comparison.
+pub fn html_with_command(comparison: &Comparison, command: &str) -> String {
+    page::page(comparison, Some(command))
+}
+
+/// Writes `report.html` and `comparison.json` into `dir`, which is created, and returns the path of the page. Each file
+/// is written beside and then renamed, so that a reader finds the old one or the new one.
+pub fn write(comparison: &Comparison, dir: &Path) -> io::Result<PathBuf> {
+    write_page(comparison, dir, &html(comparison))
+}
+
+/// [`write()`] with the command that repeats the comparison.
+pub fn write_with_command(comparison: &Comparison, dir: &Path, command: &str) -> io::Result<PathBuf> {
+    write_page(comparison, dir, &html_with_command(comparison, command))
+}
+
+fn write_page(comparison: &Comparison, dir: &Path, page: &str) -> io::Result<PathBuf> {
+    let mut document = serde_json::to_vec_pretty(comparison).map_err(io::Error::from)?;
+    document.push(b'\n');
+    fs::create_dir_all(dir).map_err(|e| at(dir, e))?;
+    replace(&dir.join("comparison.json"), &document)?;
+    let report = dir.join("report.html");
+    replace(&report, page.as_bytes())?;
+    Ok(report)
+}
+
+fn replace(path: &Path, content: &[u8]) -> io::Result<()> {
+    let beside = path.with_added_extension("partial");
+    let written = fs::write(&beside, content).and_then(|()| fs::rename(&beside, path));
+    if written.is_err() {
+        let _ = fs::remove_file(&beside);
+    }
+    written.map_err(|e| at(path, e))
+}
+
+fn at(path: &Path, error: io::Error) -> io::Error {
+    io::Error::new(error.kind(), format!("{}: {error}", path.display()))
+}
+
+#[cfg(test)]
+mod tests;
