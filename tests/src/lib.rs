@@ -1,9 +1,13 @@
-//! What the end-to-end tests share: running the built programs, inputs written by the test itself, and recorded data.
+//! What the end-to-end tests share: running the built programs, inputs written by the test itself, recorded data, and
+//! the byte-level parsers that the fuzz corpora exercise.
 
 pub mod input;
+pub mod parser;
 pub mod program;
 
 use std::path::{Path, PathBuf};
+
+pub use parser::entry;
 
 /// Whether the long tests are asked for. If not, the caller prints the returned reason and returns.
 pub fn full() -> Result<(), &'static str> {
