@@ -1,1 +1,42 @@
-//! Shared parts of the end-to-end tests.
+//! What the end-to-end tests share: running the built programs, inputs written by the test itself, recorded data, and
+//! the byte-level parsers that the fuzz corpora exercise.
+
+pub mod input;
+pub mod parser;
+pub mod program;
+
+use std::path::{Path, PathBuf};
+
+pub use parser::entry;
+
+/// Whether the long tests are asked for. If not, the caller prints the returned reason and returns.
+pub fn full() -> Result<(), &'static str> {
+    if std::env::var_os("FORESIGHT_FULL").is_some_and(|value| value == "1") {
+        Ok(())
+    } else {
+        Err("skipped: needs tests/run --full")
+    }
+}
+
+/// Folder of recorded worlds, paths and links: `FORESIGHT_DATA`, else `../shared/data` beside the workspace.
+///
+/// `None`, with a line that says so, where there is none.
+///
+/// # Panics
+/// Where there is none and the environment has `CI=true`.
+pub fn data() -> Option<PathBuf> {
+    let folder = match std::env::var_os("FORESIGHT_DATA") {
+        Some(folder) => PathBuf::from(folder),
+        None => Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"),
+    };
+    if folder.is_dir() {
+        return Some(folder);
+    }
+    assert!(
+        std::env::var_os("CI").is_none_or(|value| value != "true"),
+        "no test data at {}; expected a folder there or in FORESIGHT_DATA",
+        folder.display()
+    );
+    println!("skipped: no test data at {}", folder.display());
+    None
+}
