@@ -127,9 +127,13 @@ struct Choice {
     discards: Vec<RepId>,
 }
 
+/// When `bytes` more than what is outstanding will have come, seconds from now; the true link, for a simulator to give.
+pub type ArrivalOracle = Box<dyn Fn(Time, u64) -> f64 + Send>;
+
 /// The policy.
 pub struct Foresight {
     name: String,
+    oracle: Option<ArrivalOracle>,
     settings: ForesightSettings,
     predictor: Box<dyn Predictor>,
     motion: Motion,
@@ -165,6 +169,7 @@ impl Foresight {
     ) -> Foresight {
         Foresight {
             name: name.into(),
+            oracle: None,
             settings,
             predictor,
             motion: Motion::default(),
@@ -184,14 +189,23 @@ impl Foresight {
         }
     }
 
+    /// Takes arrivals from `oracle` instead of the estimates of c and τ.
+    pub fn with_oracle(mut self, oracle: ArrivalOracle) -> Foresight {
+        self.oracle = Some(oracle);
+        self
+    }
+
     /// Seconds from the horizon's start until a closure of `bytes` would be here.
     fn arrival(&self, state: &ClientState, now: Time, bytes: u64) -> f64 {
         if !self.settings.gains_from_arrival {
             return 0.0;
         }
         let begun = self.sampled.map_or(0.0, |t| now.since(t).secs());
-        let queued = (state.outstanding_bytes() + bytes) as f64 / state.link.rate();
-        begun + state.link.latency_s() + queued
+        let bytes = state.outstanding_bytes() + bytes;
+        match &self.oracle {
+            Some(oracle) => begun + oracle(now, bytes),
+            None => begun + state.link.latency_s() + bytes as f64 / state.link.rate(),
+        }
     }
 
     /// Samples the objective anew and ranks all candidates.

@@ -1,0 +1,220 @@
+//! The policies by name, with their options.
+
+use crate::flight::{Flight, tick_time};
+use crate::link::LinkTrace;
+use foresight_scheduler::lod_tree::LodTree;
+use foresight_scheduler::policy::Policy;
+use foresight_scheduler::policy::added_benefit;
+use foresight_scheduler::policy::foresight::{Discards, Foresight, ForesightSettings};
+use foresight_scheduler::policy::lookahead::{Lookahead, LookaheadSettings};
+use foresight_scheduler::policy::tiles_renderer::{TilesRenderer, TilesRendererSettings};
+use foresight_scheduler::predict::{Predictor, PredictorKind, known_path::KnownPath};
+use foresight_scheduler::units::Time;
+
+/// Names in the order of the comparison. Adding a policy is a file in the scheduler, a name here and an arm in
+/// [`PolicySpec::build`].
+pub const NAMES: [&str; 5] = ["foresight", "added-benefit", "lookahead", "3d-tiles-renderer", "clairvoyant"];
+
+/// Those whose error target can be set; each as shipped aims at 16 px.
+pub const WITH_TARGET: [&str; 2] = ["lookahead", "3d-tiles-renderer"];
+
+/// A policy with its options, as on the command line: `name[:key=value…]`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PolicySpec {
+    /// As given; names the results.
+    pub label: String,
+    name: &'static str,
+    /// For the policies that follow the objective.
+    pub settings: ForesightSettings,
+    /// Pixels aimed at, for the rivals.
+    pub error_target_px: f64,
+    parallel: Option<usize>,
+    true_path: bool,
+}
+
+/// What is wrong with a policy's specification.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum PolicySpecError {
+    /// No such policy.
+    #[error("unknown policy `{0}`; expected one of {list} or all", list = NAMES.join(", "))]
+    Name(String),
+    /// No such option.
+    #[error("policy {policy}: unknown option `{option}`; expected {expected}")]
+    Option {
+        /// The policy.
+        policy: &'static str,
+        /// As given.
+        option: String,
+        /// What there is.
+        expected: &'static str,
+    },
+    /// A value out of range.
+    #[error("policy {policy}: {key}={value}; expected {expected}")]
+    Value {
+        /// The policy.
+        policy: &'static str,
+        /// Of the option.
+        key: String,
+        /// As given.
+        value: String,
+        /// The range.
+        expected: &'static str,
+    },
+}
+
+const OBJECTIVE_OPTIONS: &str = "alpha, predictor, discards, arrival, cover, horizon, reuse, hysteresis, attenuation, \
+                                 samples, opening, falloff, tolerance, slack or request-cost";
+
+impl PolicySpec {
+    /// Parses a list separated by commas, or `all`. `alpha` is the default of those that have one.
+    pub fn parse_list(list: &str, alpha: f64, error_target_px: f64) -> Result<Vec<PolicySpec>, PolicySpecError> {
+        let list = if list == "all" { NAMES.join(",") } else { list.to_owned() };
+        list.split(',').map(|spec| PolicySpec::parse(spec.trim(), alpha, error_target_px)).collect()
+    }
+
+    fn parse(spec: &str, alpha: f64, error_target_px: f64) -> Result<PolicySpec, PolicySpecError> {
+        let mut parts = spec.split(':');
+        let given = parts.next().unwrap_or_default();
+        let name = NAMES.into_iter().find(|n| *n == given).ok_or_else(|| PolicySpecError::Name(given.to_owned()))?;
+        let base = ForesightSettings { alpha, ..ForesightSettings::default() };
+        let settings = match name {
+            "added-benefit" => added_benefit::settings(base),
+            "clairvoyant" => ForesightSettings { alpha: 1.0, predictor: PredictorKind::KnownPath, ..base },
+            _ => base,
+        };
+        let mut policy = PolicySpec {
+            label: spec.to_owned(),
+            name,
+            settings,
+            error_target_px,
+            parallel: None,
+            true_path: name == "clairvoyant",
+        };
+        for option in parts {
+            policy.set(option)?;
+        }
+        Ok(policy)
+    }
+
+    fn set(&mut self, option: &str) -> Result<(), PolicySpecError> {
+        let policy = self.name;
+        let has_target = WITH_TARGET.contains(&policy);
+        let expected = if has_target { "target or parallel" } else { OBJECTIVE_OPTIONS };
+        let unknown = || PolicySpecError::Option { policy, option: option.to_owned(), expected };
+        let (key, value) = option.split_once('=').ok_or_else(unknown)?;
+        let wrong = |expected| PolicySpecError::Value { policy, key: key.to_owned(), value: value.to_owned(), expected };
+        let number = |low: f64, high: f64, expected| {
+            value.parse::<f64>().ok().filter(|v| (low..=high).contains(v)).ok_or_else(|| wrong(expected))
+        };
+        let switch = |on: &str, off: &str, expected| match value {
+            v if v == on => Ok(true),
+            v if v == off => Ok(false),
+            _ => Err(wrong(expected)),
+        };
+        if has_target {
+            match key {
+                "target" => self.error_target_px = number(0.01, 1e4, "pixels from 0.01 to 10000")?,
+                "parallel" => self.parallel = Some(number(1.0, 1e4, "a count from 1 to 10000")? as usize),
+                _ => return Err(unknown()),
+            }
+            return Ok(());
+        }
+        let s = &mut self.settings;
+        match key {
+            "alpha" => s.alpha = number(0.0, 1.0, "a number from 0 to 1")?,
+            "horizon" => s.horizon_s = number(0.01, 600.0, "seconds from 0.01 to 600")?,
+            "reuse" => s.reuse_s = number(0.001, 60.0, "seconds from 0.001 to 60")?,
+            "hysteresis" => s.hysteresis = number(0.0, 100.0, "a number from 0 to 100")?,
+            "attenuation" => s.attenuation = number(0.0, 100.0, "a rate per second from 0 to 100")?,
+            "samples" => s.samples = number(1.0, 256.0, "a count from 1 to 256")? as usize,
+            "opening" => s.cut.opening = number(0.0, 2.0, "an angle from 0 to 2")?,
+            "falloff" => s.cut.centre_falloff = number(0.0, 100.0, "a number from 0 to 100")?,
+            "tolerance" => s.tolerance = number(0.0, 1.0, "a solid angle from 0 to 1")?,
+            "slack" => s.slack_s = number(0.0, 60.0, "seconds from 0 to 60")?,
+            "request-cost" => s.request_cost_s = number(0.0, 60.0, "seconds from 0 to 60")?,
+            "arrival" => s.gains_from_arrival = switch("on", "off", "on or off")?,
+            "cover" => s.cover_first = switch("on", "off", "on or off")?,
+            "discards" => {
+                s.discards = if switch("planned", "lru", "planned or lru")? {
+                    Discards::Planned
+                } else {
+                    Discards::LeastRecentlyUsed
+                }
+            }
+            "predictor" if value == "true-path" => self.true_path = true,
+            "predictor" => {
+                let known = PredictorKind::ALL.into_iter().find(|(name, _)| *name == value);
+                let expected = "constant-velocity, constant-turn, kalman, mixture, known-path or true-path";
+                s.predictor = known.ok_or_else(|| wrong(expected))?.1;
+                self.true_path = false;
+            }
+            _ => return Err(unknown()),
+        }
+        Ok(())
+    }
+
+    /// Whether the policy knows what no online policy can.
+    pub fn is_clairvoyant(&self) -> bool {
+        self.true_path
+    }
+
+    /// The same policy aiming at another error.
+    pub fn with_target(&self, px: f64) -> PolicySpec {
+        PolicySpec { error_target_px: px, label: format!("{}:target={px}", self.name), ..self.clone() }
+    }
+
+    /// Whether it aims at an error on the screen.
+    pub fn has_target(&self) -> bool {
+        WITH_TARGET.contains(&self.name)
+    }
+
+    /// The policy itself, for one replay.
+    pub fn build<'a>(&self, tree: &'a LodTree, flight: &Flight, link: &LinkTrace, start: Time) -> Box<dyn Policy + 'a> {
+        match self.name {
+            "lookahead" => {
+                let base = LookaheadSettings::default();
+                let parallel = self.parallel.unwrap_or(base.max_downloads);
+                let settings =
+                    LookaheadSettings { error_target_px: self.error_target_px, max_downloads: parallel, ..base };
+                Box::new(Lookahead::new(tree, settings))
+            }
+            "3d-tiles-renderer" => {
+                let base = TilesRendererSettings::default();
+                let parallel = self.parallel.unwrap_or(base.max_downloads);
+                let settings =
+                    TilesRendererSettings { error_target_px: self.error_target_px, max_downloads: parallel, ..base };
+                Box::new(TilesRenderer::new(tree, settings))
+            }
+            _ if self.true_path => {
+                let path: Vec<_> =
+                    flight.views.iter().enumerate().map(|(i, view)| (tick_time(i as u64), *view)).collect();
+                let mut predictor = KnownPath::default();
+                predictor.announce_path(&path);
+                let policy = Foresight::with_predictor(self.label.clone(), self.settings, Box::new(predictor));
+                if self.name == "clairvoyant" {
+                    let link = link.shifted(start);
+                    Box::new(policy.with_oracle(Box::new(move |now, bytes| seconds_until(&link, now, bytes))))
+                } else {
+                    Box::new(policy)
+                }
+            }
+            _ => Box::new(Foresight::new(self.label.clone(), self.settings)),
+        }
+    }
+}
+
+/// Seconds until the link has delivered `bytes` after a request at `now`; at most an hour.
+fn seconds_until(link: &LinkTrace, now: Time, bytes: u64) -> f64 {
+    let from = now + link.rtt();
+    let (mut low, mut high) = (0u64, 3_600_000_000_000u64);
+    // To the millisecond: finer than any decision resolves.
+    while high - low > 1_000_000 {
+        let middle = low + (high - low) / 2;
+        if link.bytes_deliverable(from, from + Time(middle)) >= bytes {
+            high = middle;
+        } else {
+            low = middle;
+        }
+    }
+    link.rtt().secs() + Time(high).secs()
+}
