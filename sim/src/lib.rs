@@ -2,3 +2,4 @@
 
 pub mod link;
 pub mod outcome;
+pub mod path;
