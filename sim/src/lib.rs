@@ -3,3 +3,4 @@
 pub mod link;
 pub mod outcome;
 pub mod path;
+mod text_lines;

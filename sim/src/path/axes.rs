@@ -272,11 +272,11 @@ fn spread(poses: &[RawPose], axis: Axis) -> f64 {
 
 /// Chooses what is not given, and says why.
 ///
-/// Every order and pair of axes is scored by how well forward follows the motion plus how close up stays to the vertical,
-/// both mean cosines. The best replaces the format's default if it is clearly better, and either follows the motion well or the
-/// default's up is not up at all: a camera that strafes or orbits does not follow its motion, and says nothing
-/// about its forward axis. The frame's up is the default's too, unless no candidate is convincing there while the
-/// default camera stands upright along x or y and moves much less along that axis.
+/// Every order and pair of axes is scored by how well forward follows the motion plus how close up stays to the
+/// vertical, both mean cosines. The best replaces the format's default if it is clearly better, and either follows the
+/// motion well, or follows it a little while the default's up is not up at all: a camera that strafes or orbits does
+/// not follow its motion, and says nothing about its forward axis. The frame's up is the default's too, unless no
+/// candidate is convincing there while the default camera stands upright along x or y and moves much less along that.
 pub(super) fn choose(poses: &[RawPose], default: Convention, given: Given) -> (Convention, String) {
     let fixed = Convention {
         order: given.order.unwrap_or(default.order),

@@ -5,11 +5,13 @@ use std::path::Path;
 
 use glam::DVec3;
 
+use crate::text_lines::{LINE_BYTES_MAX, TextLines};
+
 use super::axes::{Axis, CameraAxes, Convention, Given, QuatOrder, RawPose, choose};
 use super::{CameraPath, POSES_MAX, PathError, Pose, QUATERNION_TOLERANCE};
 
 /// Largest file read, bytes.
-const FILE_BYTES_MAX: u64 = 4 << 30;
+const FILE_BYTES_MAX: u64 = 2 << 30;
 
 /// A quaternion's length this far from 1 is rounding, and not reported.
 const LENGTH_ROUNDING: f64 = 1e-6;
@@ -48,8 +50,7 @@ pub fn from_file(file: &Path, options: &Options) -> Result<CameraPath, PathError
 /// [`PathError`] names the line and what was expected of it.
 pub fn from_bytes(name: &str, bytes: &[u8], options: &Options) -> Result<CameraPath, PathError> {
     check_size(name, bytes.len() as u64)?;
-    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
-    let mut lines = Lines { bytes, number: 0 };
+    let mut lines = text_lines(name, bytes)?;
     let mut recording =
         Recording { name, poses: Vec::new(), start: 0.0, dropped: 0, renormalised: 0, length_error: 0.0 };
     let Some((number, first)) = lines.next() else {
@@ -74,27 +75,11 @@ fn check_size(name: &str, size: u64) -> Result<(), PathError> {
     Err(PathError::Whole { name: name.to_owned(), message })
 }
 
-/// Lines with content that are no comments, their numbers from 1.
-struct Lines<'a> {
-    bytes: &'a [u8],
-    number: usize,
-}
-
-impl<'a> Iterator for Lines<'a> {
-    type Item = (usize, Cow<'a, str>);
-
-    fn next(&mut self) -> Option<Self::Item> {
-        while !self.bytes.is_empty() {
-            let end = self.bytes.iter().position(|&b| b == b'\n').unwrap_or(self.bytes.len());
-            let line = self.bytes[..end].trim_ascii();
-            self.bytes = self.bytes.get(end + 1..).unwrap_or_default();
-            self.number += 1;
-            if !line.is_empty() && line[0] != b'#' {
-                return Some((self.number, String::from_utf8_lossy(line)));
-            }
-        }
-        None
-    }
+fn text_lines<'a>(name: &str, bytes: &'a [u8]) -> Result<TextLines<'a>, PathError> {
+    TextLines::new(bytes).map_err(|line| {
+        let message = format!("is longer than {LINE_BYTES_MAX} bytes; expected short lines of text");
+        PathError::Line { name: name.to_owned(), line, message }
+    })
 }
 
 /// Poses as they are read, with what was repaired.
@@ -167,13 +152,13 @@ impl Recording<'_> {
         let given = Given { order: options.quat_order, axes: options.camera_axes, up: options.up };
         let (convention, reason) = choose(&self.poses, default, given);
         let camera = convention.axes.from_canonical();
-        let poses = self.poses.iter().map(|raw| Pose {
+        // Poses take the place of raw poses, in the same memory.
+        let poses = self.poses.into_iter().map(|raw| Pose {
             time: raw.time,
             position: raw.position,
             orientation: convention.order.quaternion(raw.numbers).normalize() * camera,
         });
-        let poses = poses.collect();
-        let mut path = CameraPath::new(self.name, poses, convention.up.vector())?;
+        let mut path = CameraPath::new(self.name, poses.collect(), convention.up.vector())?;
         path.add_note(reason);
         if let Some(note) = note {
             path.add_note(note);
@@ -198,7 +183,7 @@ impl Recording<'_> {
 fn tum(
     recording: &mut Recording<'_>,
     first: (usize, Cow<'_, str>),
-    lines: Lines<'_>,
+    lines: TextLines<'_>,
 ) -> Result<(Convention, Option<String>), PathError> {
     let mut longer = 0usize;
     for (number, line) in std::iter::once(first).chain(lines) {
@@ -258,7 +243,11 @@ impl EyeNavColumns {
     }
 }
 
-fn eye_nav(recording: &mut Recording<'_>, columns: &EyeNavColumns, lines: Lines<'_>) -> Result<Convention, PathError> {
+fn eye_nav(
+    recording: &mut Recording<'_>,
+    columns: &EyeNavColumns,
+    lines: TextLines<'_>,
+) -> Result<Convention, PathError> {
     for (number, line) in lines {
         let fields: Vec<&str> = line.split(',').map(str::trim).collect();
         let value = |column: usize| {

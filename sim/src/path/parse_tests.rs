@@ -66,6 +66,8 @@ fn options_overrule_the_motion() {
 
 #[test]
 fn what_is_no_path_is_refused_with_the_place() {
+    let long = format!("0 1 2 3 0 0 0 1\n1 1 2 3 0 0 0 1 {}\n", "4 ".repeat(40_000));
+    assert!(parse(&long).unwrap_err().contains("line 2: is longer than"));
     assert!(parse("").unwrap_err().contains("is empty"));
     assert!(parse("# only a comment\n").unwrap_err().contains("is empty"));
     assert!(parse("0 1 2 3 0 0 0 1\n").unwrap_err().contains("a path needs at least 2 poses"));
