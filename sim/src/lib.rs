@@ -9,3 +9,5 @@ pub mod pressure;
 pub mod replay;
 pub mod report;
 pub mod stopwatch;
+pub mod path;
+mod text_lines;

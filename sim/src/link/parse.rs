@@ -1,8 +1,11 @@
 //! Links from files and from specifications.
 
+use std::iter::Peekable;
 use std::path::Path;
 
 use foresight_scheduler::units::Time;
+
+use crate::text_lines::{LINE_BYTES_MAX, TextLines};
 
 use super::{LinkError, LinkTrace, RatePiece, SECONDS_MAX};
 
@@ -128,8 +131,7 @@ fn check_size(name: &str, size: u64) -> Result<(), LinkError> {
 /// A link with [`ASSUMED_RTT`], not noted yet.
 fn file_content(name: &str, bytes: &[u8]) -> Result<LinkTrace, LinkError> {
     check_size(name, bytes.len() as u64)?;
-    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
-    let mut lines = Lines { bytes, number: 0 }.peekable();
+    let mut lines = text_lines(name, bytes)?.peekable();
     match lines.peek() {
         None => {
             Err(LinkError::Whole { name: name.to_owned(), message: "is empty; expected a network trace".to_owned() })
@@ -139,37 +141,18 @@ fn file_content(name: &str, bytes: &[u8]) -> Result<LinkTrace, LinkError> {
     }
 }
 
-/// Lines with content, their numbers from 1. What is not UTF-8 is shown as such and fails where a number is expected.
-struct Lines<'a> {
-    bytes: &'a [u8],
-    number: usize,
-}
-
-impl<'a> Iterator for Lines<'a> {
-    type Item = (usize, std::borrow::Cow<'a, str>);
-
-    fn next(&mut self) -> Option<Self::Item> {
-        while !self.bytes.is_empty() {
-            let end = self.bytes.iter().position(|&b| b == b'\n').unwrap_or(self.bytes.len());
-            let line = self.bytes[..end].trim_ascii();
-            self.bytes = self.bytes.get(end + 1..).unwrap_or_default();
-            self.number += 1;
-            if !line.is_empty() && line[0] != b'#' {
-                return Some((self.number, String::from_utf8_lossy(line)));
-            }
-        }
-        None
-    }
+fn text_lines<'a>(name: &str, bytes: &'a [u8]) -> Result<TextLines<'a>, LinkError> {
+    TextLines::new(bytes).map_err(|line| {
+        let message = format!("is longer than {LINE_BYTES_MAX} bytes; expected short lines of text");
+        LinkError::Line { name: name.to_owned(), line, message }
+    })
 }
 
 fn unsupported(name: &str, line: usize, found: &str) -> LinkError {
     LinkError::Unsupported { name: name.to_owned(), line, found: found.chars().take(40).collect() }
 }
 
-fn mahimahi<'a>(
-    name: &str,
-    lines: impl Iterator<Item = (usize, std::borrow::Cow<'a, str>)>,
-) -> Result<LinkTrace, LinkError> {
+fn mahimahi(name: &str, lines: Peekable<TextLines<'_>>) -> Result<LinkTrace, LinkError> {
     let mut milliseconds: Vec<u64> = Vec::new();
     for (number, line) in lines {
         let Ok(ms) = line.parse::<u64>() else { return Err(unsupported(name, number, &line)) };
@@ -190,10 +173,7 @@ fn mahimahi<'a>(
     LinkTrace::from_opportunities(name, &milliseconds, ASSUMED_RTT)
 }
 
-fn rates<'a>(
-    name: &str,
-    lines: impl Iterator<Item = (usize, std::borrow::Cow<'a, str>)>,
-) -> Result<LinkTrace, LinkError> {
+fn rates(name: &str, lines: Peekable<TextLines<'_>>) -> Result<LinkTrace, LinkError> {
     let mut pieces: Vec<RatePiece> = Vec::new();
     let mut first = None;
     let mut dropped = 0usize;

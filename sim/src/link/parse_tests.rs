@@ -52,6 +52,7 @@ fn mahimahi_is_recognised_by_its_single_column() {
 
 #[test]
 fn what_is_no_link_is_refused_with_the_reason() {
+    assert!(LinkTrace::from_opportunities("t", &[5, 0], ASSUMED_RTT).is_err());
     assert!(parse("").unwrap_err().contains("is empty"));
     assert!(parse("# nothing\n\n").unwrap_err().contains("is empty"));
     assert!(parse("0 5\n1 -3\n").unwrap_err().contains("line 2: a rate of -3 Mbit/s"));

@@ -335,6 +335,44 @@ proptest! {
     }
 
     #[test]
+    fn completions_agree_with_a_fluid_followed_step_by_step(
+        rate in 1_000_000..50_000_000u64, jobs in proptest::collection::vec((0..300 * MS, 1..400_000u64), 1..20)
+    ) {
+        let mut link = SharedLink::new(&constant(rate, 20 * MS), Time(77));
+        let mut jobs = jobs;
+        jobs.sort_unstable();
+        for (id, &(at, bytes)) in jobs.iter().enumerate() {
+            link.start(id as u64, bytes, Time(at));
+        }
+        let mut out = run(&mut link);
+        out.sort_unstable();
+
+        // Seconds and bytes in floating point: from event to event, each active job receives an equal share.
+        let mut left: Vec<f64> = jobs.iter().map(|&(_, bytes)| bytes as f64).collect();
+        let joins: Vec<f64> = jobs.iter().map(|&(at, _)| Time(at + 20 * MS).secs()).collect();
+        let mut ends = vec![f64::NAN; jobs.len()];
+        let mut now = 0.0;
+        while ends.iter().any(|end| end.is_nan()) {
+            let active: Vec<usize> = (0..jobs.len()).filter(|&j| joins[j] <= now && ends[j].is_nan()).collect();
+            let share = rate as f64 / 8.0 / active.len().max(1) as f64;
+            let next_join = joins.iter().copied().filter(|&at| at > now).fold(f64::INFINITY, f64::min);
+            let next_end = active.iter().map(|&j| now + left[j] / share).fold(f64::INFINITY, f64::min);
+            let next = next_join.min(next_end);
+            for &j in &active {
+                left[j] -= share * (next - now);
+                if left[j] < 1e-6 {
+                    ends[j] = next;
+                }
+            }
+            now = next;
+        }
+        for (&(id, at), end) in out.iter().zip(&ends) {
+            prop_assert!((at.secs() - end).abs() < 5e-9, "{}: {} {}", id, at.secs(), end);
+        }
+        prop_assert_eq!(out.len(), jobs.len());
+    }
+
+    #[test]
     fn time_of_work_is_the_earliest(trace in traces(), start in 0..10 * S, work in 1..10_000_000_000_000_000u128) {
         let trace = trace.shifted(Time(start));
         let work = work + trace.work_until(Time::ZERO);
