@@ -2,6 +2,11 @@
 //!
 //! The crate knows no clock, no socket and no file: time, views and transfers come in as arguments.
 
+pub mod benefit;
 pub mod lod_tree;
+pub mod policy;
+pub mod scheduler;
+pub mod state;
+pub mod transfer;
 pub mod units;
 pub mod view;

@@ -1,0 +1,380 @@
+//! A view's cut: the leaves near the eye one by one, what is far away in groups.
+//!
+//! A view over 10⁷ leaves cannot be summed leaf by leaf many times a second. Where a group subtends a small angle, its
+//! leaves are seen from almost the same direction and distance, so its weight is that of their projected areas,
+//! Σ ι·A_ℓ(u) / d², which is additive. This *defines* the weights that scheduling, measurement and the upper bound all
+//! share; the opening angle θ bounds the relative error of a group's weight by O(θ²), and θ → 0 is the sum over leaves.
+//! The cut depends on the view only, never on what is resident: so values of two resident sets compare exactly.
+
+use super::accuracy::sharpness;
+use super::frustum::{Frustum, Side};
+use super::solid_angle;
+use crate::lod_tree::{LodTree, NodeId};
+use crate::view::View;
+use glam::DVec3;
+
+/// How a cut is made.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CutSettings {
+    /// θ: a node is opened while its radius exceeds θ × its distance. Smaller is more accurate and slower.
+    pub opening: f64,
+    /// Distances are at least this, metres.
+    pub near: f64,
+    /// Centre weighting κ = 1 / (1 + falloff·tan²θ) with θ the angle from the view's centre; 0 weighs all alike.
+    pub centre_falloff: f64,
+}
+
+impl Default for CutSettings {
+    fn default() -> CutSettings {
+        CutSettings { opening: 0.15, near: 0.1, centre_falloff: 0.0 }
+    }
+}
+
+/// A node of the cut with what the view makes of it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Patch {
+    /// The node: a leaf, or a group far enough away.
+    pub node: NodeId,
+    /// w, sr: of the leaf, or summed over the leaves of the group.
+    pub weight: f64,
+    /// (pixels per metre / e₀)² at its distance, m⁻².
+    pub sharpness: f64,
+}
+
+/// The patches of one view, in preorder.
+#[derive(Clone, Debug, Default)]
+pub struct Cut {
+    /// In the order of their nodes, so that what lies beneath a node is one range.
+    pub patches: Vec<Patch>,
+    /// Σ w before scaling, sr.
+    pub total_weight: f64,
+    /// min(1, Ω/Σw): every weight counts times this, so that a view never weighs more than its frustum. It cancels in
+    /// the quality.
+    pub scale: f64,
+    /// The eye, from which groups are opened further.
+    pub eye: DVec3,
+    /// Nodes looked at.
+    pub visited: u64,
+}
+
+/// Which directions count, and how far they may be off.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Region {
+    /// The view's frustum; weights are clipped to it.
+    Frustum,
+    /// The union of everything reachable by turning `angle` radians and moving `reach` metres: a leaf that meets it
+    /// weighs its whole solid angle, and its distance is `reach` less, but at least `stand_off` ([ZK] §5, `union`).
+    Reachable {
+        /// ωε, radians.
+        angle: f64,
+        /// ϑε, metres.
+        reach: f64,
+        /// Distances that no client takes up, metres.
+        stand_off: f64,
+    },
+}
+
+impl Cut {
+    /// Makes the cut of `view` into `self`, reusing its memory.
+    pub fn make(&mut self, tree: &LodTree, view: &View, region: Region, settings: &CutSettings) {
+        let frustum = Frustum::new(view);
+        self.patches.clear();
+        self.total_weight = 0.0;
+        self.visited = 0;
+        self.eye = frustum.eye;
+        let widened = match region {
+            Region::Frustum => Widened::new(&frustum, 0.0, 0.0),
+            Region::Reachable { angle, reach, .. } => Widened::new(&frustum, angle, reach),
+        };
+        let end = tree.nodes() as u32;
+        let mut next = 0u32;
+        // Beneath a node that lies inside as a whole no plane needs to be looked at.
+        let mut inside_until = 0u32;
+        while next < end {
+            let node = NodeId(next);
+            self.visited += 1;
+            let centre = tree.centre(node) - frustum.eye;
+            let half = tree.half(node);
+            let subtree_end = tree.subtree_end(node).0;
+            let side = if next < inside_until {
+                Side::Inside
+            } else {
+                match region {
+                    Region::Frustum => frustum.side(centre, half),
+                    Region::Reachable { .. } => widened.side(centre, half),
+                }
+            };
+            if side == Side::Outside {
+                next = subtree_end;
+                continue;
+            }
+            if side == Side::Inside && next >= inside_until {
+                inside_until = subtree_end;
+            }
+            let is_leaf = subtree_end == next + 1;
+            let radius_squared = half.length_squared();
+            let distance_squared = centre.length_squared();
+            // A group across the border of the view is opened twice as far: its share inside is a ramp.
+            let opening = if side == Side::Inside { settings.opening } else { 0.5 * settings.opening };
+            let is_far = radius_squared < opening * opening * distance_squared;
+            if !is_leaf && !is_far {
+                next += 1;
+                continue;
+            }
+            self.push(tree, node, centre, half, is_far, side, &frustum, region, settings);
+            next = subtree_end;
+        }
+        self.scale =
+            if self.total_weight > frustum.solid_angle { frustum.solid_angle / self.total_weight } else { 1.0 };
+    }
+
+    #[expect(clippy::too_many_arguments, reason = "all computed by the loop above, and used once")]
+    fn push(
+        &mut self,
+        tree: &LodTree,
+        node: NodeId,
+        centre: DVec3,
+        half: DVec3,
+        is_far: bool,
+        side: Side,
+        frustum: &Frustum,
+        region: Region,
+        settings: &CutSettings,
+    ) {
+        let centre_distance = centre.length();
+        let mut weight = if is_far {
+            projected_area(tree, node, centre / centre_distance) / (centre_distance * centre_distance)
+        } else {
+            let exact = match (region, side) {
+                (Region::Frustum, Side::Straddles(planes)) => {
+                    solid_angle::of_box_in_frustum(centre, half, frustum, planes)
+                }
+                (Region::Frustum, _) => solid_angle::of_box_in_frustum(centre, half, frustum, 0),
+                (Region::Reachable { .. }, _) => solid_angle::of_box(centre, half),
+            };
+            tree.importance(node) * exact
+        };
+        if let (true, Region::Frustum, Side::Straddles(planes)) = (is_far, region, side) {
+            weight *= share_inside(frustum, centre, half, planes);
+        }
+        if settings.centre_falloff > 0.0 && matches!(region, Region::Frustum) {
+            let along = frustum.forward.dot(centre);
+            let across_squared = (centre_distance * centre_distance - along * along).max(0.0);
+            // Towards and behind the plane of the eye the tangent grows without bound; the floor keeps κ positive.
+            let along = along.max(0.05 * centre_distance).max(f64::MIN_POSITIVE);
+            weight /= 1.0 + settings.centre_falloff * across_squared / (along * along);
+        }
+        if weight.is_nan() || weight <= 0.0 {
+            return;
+        }
+        let mut distance =
+            if tree.is_leaf(node) { (centre.abs() - half).max(DVec3::ZERO).length() } else { centre_distance };
+        if let Region::Reachable { reach, stand_off, .. } = region {
+            distance = (distance - reach).max(stand_off);
+        }
+        let sharpness = sharpness(frustum.pixels_per_radian, distance.max(settings.near));
+        self.total_weight += weight;
+        self.patches.push(Patch { node, weight, sharpness });
+    }
+
+    /// The patches at or beneath `node`, as a range of [`Cut::patches`].
+    pub fn beneath(&self, tree: &LodTree, node: NodeId) -> core::ops::Range<usize> {
+        let end = tree.subtree_end(node);
+        let first = self.patches.partition_point(|p| p.node < node);
+        let count = self.patches[first..].partition_point(|p| p.node < end);
+        first..first + count
+    }
+}
+
+/// Σ ι·A_ℓ(u) over the leaves beneath `node`, m², along the unit vector `direction`.
+pub fn projected_area(tree: &LodTree, node: NodeId, direction: DVec3) -> f64 {
+    tree.face_areas(node).dot(direction.abs())
+}
+
+/// Share of a small box inside the planes that cut it: a ramp over its extent across each plane.
+fn share_inside(frustum: &Frustum, centre: DVec3, half: DVec3, planes: u8) -> f64 {
+    let mut share = 1.0;
+    for (i, plane) in frustum.planes.iter().enumerate() {
+        if planes & (1 << i) != 0 {
+            let extent = plane.abs().dot(half);
+            if extent > 0.0 {
+                share *= (0.5 + 0.5 * plane.dot(centre) / extent).clamp(0.0, 1.0);
+            }
+        }
+    }
+    share
+}
+
+/// A frustum turned by up to `angle` and moved by up to `reach`, with the sines and cosines that its test needs.
+struct Widened<'a> {
+    frustum: &'a Frustum,
+    reach: f64,
+    /// Planes are passed by directions at most this far behind them.
+    plane: Angle,
+    /// The corner cone.
+    corner: Angle,
+}
+
+/// An angle in [0, π] with its sine and cosine.
+#[derive(Clone, Copy)]
+struct Angle {
+    radians: f64,
+    sin: f64,
+    cos: f64,
+}
+
+impl Angle {
+    fn new(radians: f64) -> Angle {
+        let radians = radians.clamp(0.0, core::f64::consts::PI);
+        Angle { radians, sin: libm::sin(radians), cos: libm::cos(radians) }
+    }
+}
+
+impl<'a> Widened<'a> {
+    fn new(frustum: &'a Frustum, angle: f64, reach: f64) -> Widened<'a> {
+        Widened { frustum, reach, plane: Angle::new(angle), corner: Angle::new(frustum.corner_angle + angle) }
+    }
+
+    /// As [`Frustum::side`]; never misses a box.
+    fn side(&self, centre: DVec3, half: DVec3) -> Side {
+        const EVERY_PLANE: u8 = 0b1111;
+        const HALF_PI: f64 = core::f64::consts::FRAC_PI_2;
+        let distance = centre.length();
+        let radius = half.length() + self.reach;
+        if distance <= radius {
+            return Side::Straddles(EVERY_PLANE);
+        }
+        // Half the cone of directions in which the moved box can be seen, κ < π/2.
+        let cone_sin = radius / distance;
+        let cone_cos = (1.0 - cone_sin * cone_sin).max(0.0).sqrt();
+        let along = self.frustum.forward.dot(centre) / distance;
+        // Off the centre by more than corner + κ? Cosines fall on [0, π]; beyond π nothing is off.
+        let corner_is_wide = self.corner.radians >= HALF_PI
+            && self.corner.cos * cone_cos - self.corner.sin * cone_sin > self.corner.cos
+            || self.corner.radians + libm::asin(cone_sin.min(1.0)) >= core::f64::consts::PI;
+        if !corner_is_wide && along < self.corner.cos * cone_cos - self.corner.sin * cone_sin {
+            return Side::Outside;
+        }
+        let mut side = if along > self.corner.cos * cone_cos + self.corner.sin * cone_sin
+            && libm::asin(cone_sin.min(1.0)) < self.corner.radians
+        {
+            Side::Inside
+        } else {
+            Side::Straddles(EVERY_PLANE)
+        };
+        if self.plane.radians >= HALF_PI {
+            return side;
+        }
+        for plane in &self.frustum.planes {
+            let height = plane.dot(centre) / distance;
+            let reaches_pole = self.plane.cos * cone_cos - self.plane.sin * cone_sin <= 0.0;
+            if !reaches_pole && height < -(self.plane.sin * cone_cos + self.plane.cos * cone_sin) {
+                return Side::Outside;
+            }
+            if height < cone_sin * self.plane.cos - cone_cos * self.plane.sin {
+                side = Side::Straddles(EVERY_PLANE);
+            }
+        }
+        side
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lod_tree::{Aabb, LodTreeBuilder, Representation};
+    use glam::DQuat;
+    use proptest::prelude::*;
+
+    /// 4^levels leaves on a square, in a quadtree.
+    fn quadtree(levels: u32, side: f64) -> LodTree {
+        fn node(b: &mut LodTreeBuilder, level: u32, x: f64, z: f64, side: f64) {
+            b.open().unwrap();
+            b.add(Representation {
+                wire_bytes: 10,
+                decoded_bytes: 10,
+                error: side as f32,
+                prerequisite: None,
+                direction: None,
+            })
+            .unwrap();
+            let mut content = None;
+            if level == 0 {
+                let height = 1.0 + (x * 7.0 + z * 3.0).abs() % 2.0;
+                content = Some(Aabb { min: DVec3::new(x, 0.0, z), max: DVec3::new(x + side, height, z + side) });
+            } else {
+                let h = side / 2.0;
+                for (dx, dz) in [(0.0, 0.0), (h, 0.0), (0.0, h), (h, h)] {
+                    node(b, level - 1, x + dx, z + dz, h);
+                }
+            }
+            b.close(content, 1.0).unwrap();
+        }
+        let mut b = LodTreeBuilder::default();
+        node(&mut b, levels, -side / 2.0, -side / 2.0, side);
+        b.finish().unwrap()
+    }
+
+    fn view(position: DVec3, yaw: f64, pitch: f64) -> View {
+        View {
+            position,
+            orientation: DQuat::from_rotation_y(yaw) * DQuat::from_rotation_x(pitch),
+            fov_y: 1.0,
+            viewport: [1920, 1080],
+        }
+    }
+
+    fn by_leaf(tree: &LodTree, view: &View) -> f64 {
+        let frustum = Frustum::new(view);
+        (0..tree.nodes() as u32)
+            .map(NodeId)
+            .filter(|&n| tree.is_leaf(n))
+            .map(|n| solid_angle::of_box_in_frustum(tree.centre(n) - frustum.eye, tree.half(n), &frustum, 0b1111))
+            .sum()
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(48))]
+        /// The cut's weight is that of the leaves one by one, within the opening angle's error; smaller is better.
+        #[test]
+        fn weights_converge_to_the_sum_over_leaves(x in -40.0..40.0f64, y in 2.5..30.0f64, yaw in -3.0..3.0f64, pitch in -0.6..0.2f64) {
+            let tree = quadtree(5, 320.0);
+            let view = view(DVec3::new(x, y, 0.3 * x), yaw, pitch);
+            let exact = by_leaf(&tree, &view);
+            for (opening, tolerance) in [(0.3, 0.03), (0.15, 0.015), (0.0, 1e-9)] {
+                let mut cut = Cut::default();
+                cut.make(&tree, &view, Region::Frustum, &CutSettings { opening, ..CutSettings::default() });
+                prop_assert!((cut.total_weight - exact).abs() <= tolerance * exact.max(0.05), "θ = {opening}: {} {exact}", cut.total_weight);
+            }
+        }
+
+        /// Whatever some turned and moved view sees is in the widened cut.
+        #[test]
+        fn the_reachable_region_misses_nothing(yaw in -3.0..3.0f64, turn in -1.5..1.5f64, pitch in -0.5..0.5f64, dx in -3.0..3.0f64, dz in -3.0..3.0f64) {
+            let tree = quadtree(4, 200.0);
+            let here = view(DVec3::new(3.0, 5.0, -2.0), yaw, -0.1);
+            let there = view(DVec3::new(3.0 + dx, 5.0, -2.0 + dz), yaw + turn, -0.1 + pitch);
+            let angle = libm::acos(here.forward().dot(there.forward()).clamp(-1.0, 1.0)) ;
+            let settings = CutSettings { opening: 0.0, ..CutSettings::default() };
+            let (mut wide, mut seen) = (Cut::default(), Cut::default());
+            // The roll that a pitched turn brings along is not part of N(v, ε): allow for it.
+            wide.make(&tree, &here, Region::Reachable { angle: angle + 0.35, reach: dx.hypot(dz), stand_off: 0.5 }, &settings);
+            seen.make(&tree, &there, Region::Frustum, &settings);
+            for patch in &seen.patches {
+                prop_assert!(wide.patches.iter().any(|p| p.node == patch.node), "{:?}", patch.node);
+            }
+        }
+    }
+
+    #[test]
+    fn inside_a_box_it_fills_the_view_and_outside_nothing_weighs() {
+        let tree = quadtree(0, 10.0);
+        let mut cut = Cut::default();
+        cut.make(&tree, &view(DVec3::new(0.0, 0.5, 0.0), 0.3, 0.1), Region::Frustum, &CutSettings::default());
+        assert_eq!(cut.patches.len(), 1);
+        assert_eq!(cut.scale, 1.0);
+        cut.make(&tree, &view(DVec3::new(0.0, 0.5, -100.0), 0.0, 0.0), Region::Frustum, &CutSettings::default());
+        assert!(cut.patches.is_empty());
+        assert_eq!(cut.scale, 1.0);
+    }
+}

@@ -1,0 +1,8 @@
+//! What a view is worth: weight × accuracy, over a cut of the tree (DESIGN §1, B_R(v) = Σ w q).
+
+pub mod accuracy;
+pub mod coverage;
+pub mod cut;
+pub mod frustum;
+pub mod quality;
+pub mod solid_angle;

@@ -1,0 +1,103 @@
+//! B_R(v) and Q_R(v) over a cut: what a resident set makes of a view.
+
+use super::accuracy::{RIVALS_TARGET_PX, accuracy, is_within};
+use super::coverage::Coverage;
+use super::cut::{Cut, Patch, projected_area};
+use crate::lod_tree::{LodTree, NodeId};
+
+/// What a resident set makes of one view. Sums are in sr before the cut's scaling, which cancels in every ratio.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Quality {
+    /// Σ w q.
+    pub benefit: f64,
+    /// Σ w.
+    pub weight: f64,
+    /// Σ w over what is shown at an error of at most 16 px.
+    pub within_target: f64,
+}
+
+impl Quality {
+    /// Q = Σ w q / Σ w; `None` when nothing is in view.
+    pub fn mean(&self) -> Option<f64> {
+        (self.weight > 0.0).then(|| (self.benefit / self.weight).clamp(0.0, 1.0))
+    }
+}
+
+/// A part of a patch that is shown with one error throughout.
+#[derive(Clone, Copy, Debug)]
+pub struct Shown {
+    /// The node that owns what is shown, or `None` where nothing is.
+    pub owner: Option<NodeId>,
+    /// Its error, metres; ∞ where nothing is shown.
+    pub error: f32,
+    /// Weight of the part, sr.
+    pub weight: f64,
+    /// (pixels per metre / e₀)².
+    pub sharpness: f64,
+}
+
+/// Evaluates a resident set over a cut; `shown` is told every part that is shown with one error.
+pub fn evaluate(tree: &LodTree, cut: &Cut, coverage: &Coverage, mut shown: impl FnMut(Shown)) -> Quality {
+    let mut quality = Quality::default();
+    let mut stack = Vec::new();
+    for patch in &cut.patches {
+        let (owner, error) = best_owner(tree, coverage, patch.node);
+        quality.weight += patch.weight;
+        let mut count = |part: Shown| {
+            if part.owner.is_some() {
+                quality.benefit += part.weight * accuracy(f64::from(part.error), part.sharpness);
+                if is_within(f64::from(part.error), part.sharpness, RIVALS_TARGET_PX) {
+                    quality.within_target += part.weight;
+                }
+            }
+            shown(part);
+        };
+        if coverage.any_beneath(patch.node) {
+            divide(tree, cut, coverage, patch, (owner, error), &mut stack, &mut count);
+        } else {
+            count(Shown { owner, error, weight: patch.weight, sharpness: patch.sharpness });
+        }
+    }
+    quality
+}
+
+/// The node at or above `node` whose own representations show it best, and with which error.
+fn best_owner(tree: &LodTree, coverage: &Coverage, node: NodeId) -> (Option<NodeId>, f32) {
+    let mut best = (None, f32::INFINITY);
+    for above in tree.ancestors(node) {
+        let error = coverage.best_at(above);
+        if error < best.1 {
+            best = (Some(above), error);
+        }
+    }
+    best
+}
+
+/// Splits a group's weight by projected area down to what is shown with one error. `stack` is scratch.
+fn divide(
+    tree: &LodTree,
+    cut: &Cut,
+    coverage: &Coverage,
+    patch: &Patch,
+    above: (Option<NodeId>, f32),
+    stack: &mut Vec<(NodeId, Option<NodeId>, f32)>,
+    count: &mut impl FnMut(Shown),
+) {
+    let direction = (tree.centre(patch.node) - cut.eye).normalize_or_zero();
+    let whole = projected_area(tree, patch.node, direction);
+    let density = if whole > 0.0 { patch.weight / whole } else { 0.0 };
+    stack.clear();
+    stack.push((patch.node, above.0, above.1));
+    while let Some((node, owner, error)) = stack.pop() {
+        for child in tree.children(node) {
+            let own = coverage.best_at(child);
+            let (owner, error) = if own < error { (Some(child), own) } else { (owner, error) };
+            if coverage.any_beneath(child) {
+                stack.push((child, owner, error));
+            } else {
+                let weight = density * projected_area(tree, child, direction);
+                count(Shown { owner, error, weight, sharpness: patch.sharpness });
+            }
+        }
+    }
+}

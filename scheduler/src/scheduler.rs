@@ -1,0 +1,272 @@
+//! The state machine that the simulator and the sidecar both drive. No I/O and no clock: it is told what happened and
+//! when, and asked what to do next.
+
+use crate::benefit::coverage::Refinement;
+use crate::lod_tree::{LodTree, RepId};
+use crate::policy::Policy;
+use crate::state::{ClientState, Status};
+use crate::transfer::TransferEstimate;
+use crate::units::Time;
+use crate::view::{View, ViewError};
+use std::collections::VecDeque;
+
+/// What the client shall do.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Action {
+    /// Request a representation. Its memory is reserved from now on.
+    Fetch {
+        /// What to request.
+        rep: RepId,
+        /// Residents that go when the last byte has come: until then they stay visible.
+        discard_on_arrival: Vec<RepId>,
+    },
+    /// Abort the request; the bytes received so far are charged.
+    Cancel(RepId),
+    /// Free a resident representation.
+    Discard(RepId),
+    /// Nothing to do before this time, or before something happens.
+    WaitUntil(Time),
+}
+
+/// What a scheduler is given once.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SchedulerSettings {
+    /// Memory for everything, bytes.
+    pub budget: u64,
+    /// When children count.
+    pub refinement: Refinement,
+    /// First guess of the link's rate, bytes/s.
+    pub rate_guess: f64,
+    /// First guess of the latency, seconds.
+    pub latency_guess_s: f64,
+}
+
+impl SchedulerSettings {
+    /// With the default guesses: 5 Mbit/s and 60 ms.
+    pub fn with_budget(budget: u64) -> SchedulerSettings {
+        SchedulerSettings { budget, refinement: Refinement::Partial, rate_guess: 625_000.0, latency_guess_s: 0.06 }
+    }
+}
+
+/// What cannot be done.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum SchedulerError {
+    /// The view has no finite meaning.
+    #[error(transparent)]
+    View(#[from] ViewError),
+    /// Time went backwards.
+    #[error("an event at {now:?} came after one at {latest:?}; expected times in order")]
+    Time {
+        /// Time of the event.
+        now: Time,
+        /// Latest time seen.
+        latest: Time,
+    },
+    /// The client reports on something it was not asked to do.
+    #[error("representation {rep} was reported {event}, but it is {status:?}")]
+    Unexpected {
+        /// The representation.
+        rep: u32,
+        /// What was reported.
+        event: &'static str,
+        /// Where it is.
+        status: Status,
+    },
+    /// An id beyond the tree.
+    #[error("representation {rep} does not exist: the world has {count}")]
+    NoSuchRepresentation {
+        /// As given.
+        rep: u32,
+        /// Number of representations.
+        count: usize,
+    },
+    /// A policy asked for something impossible: a bug in the policy, refused before it does harm.
+    #[error(
+        "policy {policy} asked for {what} of representation {rep}, which is {status:?}; {free} bytes of memory are free"
+    )]
+    Policy {
+        /// Its name.
+        policy: String,
+        /// The action.
+        what: &'static str,
+        /// On what.
+        rep: u32,
+        /// Where it is.
+        status: Status,
+        /// Free memory.
+        free: u64,
+    },
+}
+
+/// The scheduler: a client's state and a policy.
+pub struct Scheduler<'a> {
+    state: ClientState<'a>,
+    policy: Box<dyn Policy + 'a>,
+    latest: Time,
+    /// Discards that an arrival has set off, to be told before anything else.
+    pending_discards: VecDeque<RepId>,
+}
+
+impl<'a> Scheduler<'a> {
+    /// A scheduler for one client of a world.
+    pub fn new(tree: &'a LodTree, settings: SchedulerSettings, policy: Box<dyn Policy + 'a>) -> Scheduler<'a> {
+        let link = TransferEstimate::new(settings.rate_guess, settings.latency_guess_s);
+        Scheduler {
+            state: ClientState::new(tree, settings.budget, settings.refinement, link),
+            policy,
+            latest: Time::ZERO,
+            pending_discards: VecDeque::new(),
+        }
+    }
+
+    /// What is known about the client.
+    pub fn state(&self) -> &ClientState<'a> {
+        &self.state
+    }
+
+    /// The policy's name.
+    pub fn policy_name(&self) -> &str {
+        self.policy.name()
+    }
+
+    fn pass(&mut self, now: Time) -> Result<(), SchedulerError> {
+        if now < self.latest {
+            return Err(SchedulerError::Time { now, latest: self.latest });
+        }
+        self.latest = now;
+        Ok(())
+    }
+
+    fn expect(&self, rep: RepId, event: &'static str, allowed: &[Status]) -> Result<(), SchedulerError> {
+        if rep.index() >= self.state.tree.representations() {
+            return Err(SchedulerError::NoSuchRepresentation { rep: rep.0, count: self.state.tree.representations() });
+        }
+        let status = self.state.status(rep);
+        if allowed.contains(&status) { Ok(()) } else { Err(SchedulerError::Unexpected { rep: rep.0, event, status }) }
+    }
+
+    /// Marks a representation as resident before the session starts. Refused if it does not fit.
+    pub fn preload(&mut self, rep: RepId) -> Result<(), SchedulerError> {
+        self.expect(rep, "preloaded", &[Status::Absent])?;
+        if self.state.tree.decoded_bytes(rep) > self.state.free_bytes() {
+            return Err(self.refusal("preload", rep));
+        }
+        self.state.place(rep);
+        Ok(())
+    }
+
+    /// The camera is at `view` at `now`.
+    pub fn observe(&mut self, view: &View, now: Time) -> Result<(), SchedulerError> {
+        view.check()?;
+        self.pass(now)?;
+        self.state.view = Some(*view);
+        self.policy.observe(&self.state, view, now);
+        Ok(())
+    }
+
+    /// Tells where the camera will be: a `flyTo` or a recorded tour, as (time, view) in order.
+    pub fn announce_path(&mut self, path: &[(Time, View)]) -> Result<(), SchedulerError> {
+        for (_, view) in path {
+            view.check()?;
+        }
+        self.policy.announce_path(path);
+        Ok(())
+    }
+
+    /// The first byte of `rep` came at `now`.
+    pub fn responded(&mut self, rep: RepId, now: Time) -> Result<(), SchedulerError> {
+        self.expect(rep, "responding", &[Status::InFlight])?;
+        self.pass(now)?;
+        self.state.responded(rep, now);
+        Ok(())
+    }
+
+    /// `total` bytes have been received in the session; `in_flight` of them belong to requests still on their way.
+    pub fn progress(&mut self, in_flight: u64, total: u64, now: Time) -> Result<(), SchedulerError> {
+        self.pass(now)?;
+        self.state.received(in_flight, total, now);
+        Ok(())
+    }
+
+    /// The last byte of `rep` came at `now`; it will be decoded. Ask [`Scheduler::next`] before decoding: discards that
+    /// waited for this arrival free the memory.
+    pub fn arrived(&mut self, rep: RepId, now: Time) -> Result<(), SchedulerError> {
+        self.expect(rep, "arrived", &[Status::InFlight])?;
+        self.pass(now)?;
+        if let Some(request) = self.state.end_request(rep, now) {
+            self.state.arrive(&request);
+            self.pending_discards.extend(&request.discard_on_arrival);
+        }
+        Ok(())
+    }
+
+    /// `rep` can be shown from `now` on.
+    pub fn completed(&mut self, rep: RepId, now: Time) -> Result<(), SchedulerError> {
+        self.expect(rep, "completed", &[Status::Arrived])?;
+        self.pass(now)?;
+        self.state.complete(rep);
+        self.policy.completed(&self.state, rep, now);
+        Ok(())
+    }
+
+    /// `rep` could not be fetched or decoded.
+    pub fn failed(&mut self, rep: RepId, now: Time) -> Result<(), SchedulerError> {
+        self.expect(rep, "failed", &[Status::InFlight, Status::Arrived])?;
+        self.pass(now)?;
+        match self.state.end_request(rep, now) {
+            Some(request) => self.state.abandon(&request),
+            None => self.state.drop_arrived(rep),
+        }
+        self.policy.failed(&self.state, rep, now);
+        Ok(())
+    }
+
+    /// What to do now. Ask again after obeying, until the answer is `WaitUntil`.
+    pub fn next(&mut self, now: Time) -> Result<Action, SchedulerError> {
+        self.pass(now)?;
+        if let Some(rep) = self.pending_discards.pop_front() {
+            return Ok(Action::Discard(rep));
+        }
+        let action = self.policy.decide(&self.state, now);
+        match &action {
+            Action::Fetch { rep, discard_on_arrival } => {
+                self.expect(*rep, "fetched", &[Status::Absent]).map_err(|_| self.refusal("a fetch", *rep))?;
+                let mut handed_over = 0;
+                for (i, &doomed) in discard_on_arrival.iter().enumerate() {
+                    if self.state.status(doomed) != Status::Resident || discard_on_arrival[..i].contains(&doomed) {
+                        return Err(self.refusal("a discard on arrival", doomed));
+                    }
+                    handed_over += self.state.tree.decoded_bytes(doomed);
+                }
+                let wire = self.state.tree.wire_bytes(*rep);
+                let decoded = self.state.tree.decoded_bytes(*rep);
+                if wire + decoded.saturating_sub(handed_over) > self.state.free_bytes() {
+                    return Err(self.refusal("a fetch", *rep));
+                }
+                self.state.request(*rep, discard_on_arrival.clone(), now);
+            }
+            Action::Cancel(rep) => {
+                let request = self.state.end_request(*rep, now).ok_or_else(|| self.refusal("a cancellation", *rep))?;
+                self.state.abandon(&request);
+            }
+            Action::Discard(rep) => {
+                if self.state.status(*rep) != Status::Resident {
+                    return Err(self.refusal("a discard", *rep));
+                }
+                self.state.discard(*rep);
+            }
+            Action::WaitUntil(_) => {}
+        }
+        Ok(action)
+    }
+
+    fn refusal(&self, what: &'static str, rep: RepId) -> SchedulerError {
+        SchedulerError::Policy {
+            policy: self.policy.name().to_owned(),
+            what,
+            rep: rep.0,
+            status: self.state.status(rep),
+            free: self.state.free_bytes(),
+        }
+    }
+}

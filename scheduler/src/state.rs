@@ -1,0 +1,212 @@
+//! What the scheduler knows about its client: memory, requests, and what the link costs.
+
+use crate::benefit::coverage::{Coverage, Refinement};
+use crate::lod_tree::{LodTree, RepId};
+use crate::transfer::TransferEstimate;
+use crate::units::Time;
+use crate::view::View;
+
+/// Where a representation is on its way.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Status {
+    /// On the server only.
+    #[default]
+    Absent,
+    /// Requested; its bytes are coming or will.
+    InFlight,
+    /// All bytes are here; it is being decoded or uploaded.
+    Arrived,
+    /// Can be shown.
+    Resident,
+    /// Can still be shown, and goes when the request that needs its memory has arrived.
+    Doomed,
+}
+
+/// A request on its way.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Request {
+    /// What was asked for.
+    pub rep: RepId,
+    /// When.
+    pub requested: Time,
+    /// When the first byte came.
+    pub responded: Option<Time>,
+    /// What to discard when the last byte has come.
+    pub discard_on_arrival: Vec<RepId>,
+    /// Bytes of memory set aside for it.
+    reserved: u64,
+}
+
+/// The client as the scheduler sees it. Policies read it; only the [`crate::scheduler::Scheduler`] changes it.
+#[derive(Clone, Debug)]
+pub struct ClientState<'a> {
+    /// The world.
+    pub tree: &'a LodTree,
+    /// Bytes that resident, arriving and requested representations may take together.
+    pub budget: u64,
+    status: Vec<Status>,
+    resident: Coverage,
+    planned: Coverage,
+    requests: Vec<Request>,
+    used: u64,
+    /// Bytes of the requests in flight that have been received.
+    received_in_flight: u64,
+    /// Link estimates.
+    pub link: TransferEstimate,
+    /// The latest view.
+    pub view: Option<View>,
+}
+
+impl<'a> ClientState<'a> {
+    /// A client with nothing resident.
+    pub fn new(tree: &'a LodTree, budget: u64, refinement: Refinement, link: TransferEstimate) -> ClientState<'a> {
+        let empty = Coverage::new(tree, refinement);
+        ClientState {
+            tree,
+            budget,
+            status: vec![Status::Absent; tree.representations()],
+            resident: empty.clone(),
+            planned: empty,
+            requests: Vec::new(),
+            used: 0,
+            received_in_flight: 0,
+            link,
+            view: None,
+        }
+    }
+
+    /// Where `rep` is.
+    pub fn status(&self, rep: RepId) -> Status {
+        self.status[rep.index()]
+    }
+
+    /// What can be shown now, doomed ones included.
+    pub fn resident(&self) -> &Coverage {
+        &self.resident
+    }
+
+    /// What will be resident when every request has ended and every planned discard is done.
+    pub fn planned(&self) -> &Coverage {
+        &self.planned
+    }
+
+    /// Requests whose last byte has not come, oldest first.
+    pub fn requests(&self) -> &[Request] {
+        &self.requests
+    }
+
+    /// Bytes in use: decoded residents, and for every request or arrival its wire bytes and what is reserved.
+    pub fn used_bytes(&self) -> u64 {
+        self.used
+    }
+
+    /// Bytes left of the budget.
+    pub fn free_bytes(&self) -> u64 {
+        self.budget.saturating_sub(self.used)
+    }
+
+    /// Wire bytes requested and not received yet.
+    pub fn outstanding_bytes(&self) -> u64 {
+        let asked: u64 = self.requests.iter().map(|r| self.tree.wire_bytes(r.rep)).sum();
+        asked.saturating_sub(self.received_in_flight)
+    }
+
+    /// Bytes that a request for `rep` takes while it is on its way: its wire form and its decoded form.
+    pub fn request_bytes(&self, rep: RepId) -> u64 {
+        self.tree.wire_bytes(rep) + self.tree.decoded_bytes(rep)
+    }
+
+    pub(crate) fn request(&mut self, rep: RepId, discard_on_arrival: Vec<RepId>, now: Time) {
+        let handed_over: u64 = discard_on_arrival.iter().map(|&d| self.tree.decoded_bytes(d)).sum();
+        let reserved = self.tree.wire_bytes(rep) + self.tree.decoded_bytes(rep).saturating_sub(handed_over);
+        for &doomed in &discard_on_arrival {
+            self.status[doomed.index()] = Status::Doomed;
+            self.planned.remove(self.tree, doomed);
+        }
+        self.used += reserved;
+        self.status[rep.index()] = Status::InFlight;
+        self.planned.insert(self.tree, rep);
+        self.requests.push(Request { rep, requested: now, responded: None, discard_on_arrival, reserved });
+    }
+
+    pub(crate) fn responded(&mut self, rep: RepId, now: Time) -> bool {
+        let Some(request) = self.requests.iter_mut().find(|r| r.rep == rep) else { return false };
+        if request.responded.is_none() {
+            request.responded = Some(now);
+            let requested = request.requested;
+            self.link.responded(requested, now);
+        }
+        true
+    }
+
+    /// `in_flight` bytes of the requests on their way are here; `total` have come since the start.
+    pub(crate) fn received(&mut self, in_flight: u64, total: u64, now: Time) {
+        self.received_in_flight = in_flight;
+        self.link.received(total, now);
+    }
+
+    /// Takes the request out; `None` if there is none for `rep`.
+    pub(crate) fn end_request(&mut self, rep: RepId, now: Time) -> Option<Request> {
+        let place = self.requests.iter().position(|r| r.rep == rep)?;
+        let request = self.requests.remove(place);
+        if request.responded.is_some() {
+            self.link.ended(now);
+        }
+        Some(request)
+    }
+
+    /// All bytes are here: what was to go now goes, and the decoded form's memory is set aside whole.
+    pub(crate) fn arrive(&mut self, request: &Request) {
+        for &doomed in &request.discard_on_arrival {
+            self.used -= self.tree.decoded_bytes(doomed);
+            self.status[doomed.index()] = Status::Absent;
+            self.resident.remove(self.tree, doomed);
+        }
+        self.used = self.used - request.reserved + self.request_bytes(request.rep);
+        self.status[request.rep.index()] = Status::Arrived;
+    }
+
+    /// The request failed or was cancelled: its memory is free again, and what it had doomed stays.
+    pub(crate) fn abandon(&mut self, request: &Request) {
+        self.used -= request.reserved;
+        self.status[request.rep.index()] = Status::Absent;
+        self.planned.remove(self.tree, request.rep);
+        for &spared in &request.discard_on_arrival {
+            self.status[spared.index()] = Status::Resident;
+            self.planned.insert(self.tree, spared);
+        }
+    }
+
+    pub(crate) fn complete(&mut self, rep: RepId) {
+        self.used -= self.tree.wire_bytes(rep);
+        self.status[rep.index()] = Status::Resident;
+        self.resident.insert(self.tree, rep);
+    }
+
+    /// An arrived representation could not be decoded.
+    pub(crate) fn drop_arrived(&mut self, rep: RepId) {
+        self.used -= self.request_bytes(rep);
+        self.status[rep.index()] = Status::Absent;
+        self.planned.remove(self.tree, rep);
+    }
+
+    /// Puts a representation there from the start (`--warm`).
+    pub(crate) fn place(&mut self, rep: RepId) {
+        self.used += self.tree.decoded_bytes(rep);
+        self.status[rep.index()] = Status::Resident;
+        self.resident.insert(self.tree, rep);
+        self.planned.insert(self.tree, rep);
+    }
+
+    pub(crate) fn discard(&mut self, rep: RepId) {
+        self.used -= self.tree.decoded_bytes(rep);
+        self.status[rep.index()] = Status::Absent;
+        self.resident.remove(self.tree, rep);
+        self.planned.remove(self.tree, rep);
+    }
+
+    /// A copy of the planned set that a policy may alter to weigh its choices.
+    pub fn hypothetical(&self) -> Coverage {
+        self.planned.clone()
+    }
+}
