@@ -1,5 +1,8 @@
 //! Policies: what to fetch next, each in a file under its published name.
 
+pub mod lookahead;
+pub mod tiles_renderer;
+
 use crate::lod_tree::RepId;
 use crate::scheduler::Action;
 use crate::state::ClientState;
