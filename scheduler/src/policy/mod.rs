@@ -2,6 +2,8 @@
 
 pub mod added_benefit;
 pub mod foresight;
+pub mod lookahead;
+pub mod tiles_renderer;
 
 use crate::lod_tree::RepId;
 use crate::scheduler::Action;

@@ -1,0 +1,81 @@
+//! The tree as a tileset: a tile per level of detail of a node.
+
+use crate::lod_tree::{LodTree, NodeId, RepId};
+
+/// No tile.
+const NONE: u32 = u32::MAX;
+
+/// A tile, by its place in preorder.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Tile {
+    pub(super) node: NodeId,
+    pub(super) parent: u32,
+    pub(super) subtree_end: u32,
+    /// Its contents are `contents[first_content..end_content]`.
+    pub(super) first_content: u32,
+    pub(super) end_content: u32,
+    /// Number of tiles with content from the root to here (`depthFromRenderedParent`).
+    pub(super) depth: u32,
+    /// Geometric error, metres; ∞ without content.
+    pub(super) error: f64,
+    /// Refined whatever its error on screen (`unconditionallyRefine`).
+    pub(super) unconditional: bool,
+}
+
+impl Tile {
+    /// Nothing to load.
+    pub(super) fn is_empty(&self) -> bool {
+        self.first_content == self.end_content
+    }
+}
+
+/// The tiles in preorder, their contents in the order of the tiles, and each representation's tile.
+pub(super) fn tiles_of(tree: &LodTree) -> (Vec<Tile>, Vec<RepId>, Vec<u32>) {
+    let mut tiles: Vec<Tile> = Vec::with_capacity(tree.nodes());
+    let mut contents: Vec<RepId> = Vec::with_capacity(tree.representations());
+    let mut tile_of = vec![NONE; tree.representations()];
+    let mut last_tile = vec![NONE; tree.nodes()];
+    // Per tile, the error of the nearest tile from it upwards that can be stopped at; ∞ above the first.
+    let mut bound: Vec<f64> = Vec::with_capacity(tree.nodes());
+    let mut first_tile = Vec::with_capacity(tree.nodes() + 1);
+    for node in (0..tree.nodes() as u32).map(NodeId) {
+        first_tile.push(tiles.len() as u32);
+        let mut next = contents.len();
+        contents.extend(tree.own(node));
+        contents[next..].sort_by(|&a, &b| tree.error(b).total_cmp(&tree.error(a)).then(a.cmp(&b)));
+        let mut parent = tree.parent(node).map_or(NONE, |p| last_tile[p.index()]);
+        loop {
+            let error = contents.get(next).map_or(f64::INFINITY, |&r| tree.error(r));
+            let count = contents[next..].iter().take_while(|&&r| tree.error(r) == error).count();
+            let above = tiles.get(parent as usize).map(|p| p.depth);
+            let limit = bound.get(parent as usize).copied().unwrap_or(f64::INFINITY);
+            let unconditional = count > 0 && error >= limit;
+            let id = tiles.len() as u32;
+            for &rep in &contents[next..next + count] {
+                tile_of[rep.index()] = id;
+            }
+            tiles.push(Tile {
+                node,
+                parent,
+                subtree_end: 0,
+                first_content: next as u32,
+                end_content: (next + count) as u32,
+                depth: above.unwrap_or(0) + u32::from(count > 0),
+                error,
+                unconditional,
+            });
+            bound.push(if count > 0 && !unconditional { error } else { limit });
+            parent = id;
+            next += count;
+            if next == contents.len() {
+                break;
+            }
+        }
+        last_tile[node.index()] = parent;
+    }
+    first_tile.push(tiles.len() as u32);
+    for tile in &mut tiles {
+        tile.subtree_end = first_tile[tree.subtree_end(tile.node).index()];
+    }
+    (tiles, contents, tile_of)
+}
