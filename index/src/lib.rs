@@ -1,1 +1,12 @@
-//! Worlds.
+//! Worlds: their LOD trees, the importers that read them, and the generators that make them up.
+//!
+//! [`world::open`] takes whatever is recognised; [`world::World`] is what everything else works on. The crate decides
+//! nothing about what to fetch and knows no clock.
+
+pub mod generate;
+pub mod ground;
+pub mod import;
+#[cfg(feature = "tiles3d")]
+pub mod manifest;
+pub mod uris;
+pub mod world;

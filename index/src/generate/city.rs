@@ -1,0 +1,478 @@
+//! A made-up city: streets on a jittered grid, blocks of buildings that rise towards the centre, parks with trees.
+//! z is up and the ground lies at 0; the middle of the city is the origin.
+//!
+//! The tree is an LOD-R-tree: districts in a quadtree, each with simplified geometry whose error doubles from level to
+//! level; then blocks; then buildings with three levels of detail, the finest of which refines the middle one.
+
+use std::path::{Path, PathBuf};
+
+use foresight_scheduler::lod_tree::{Aabb, LodTreeBuilder, LodTreeError, RepId, Representation};
+use glam::{DVec2, DVec3};
+use serde::{Deserialize, Serialize};
+
+use super::random::Random;
+use super::staging::Staging;
+use crate::ground::Ground;
+use crate::uris::UriTableBuilder;
+use crate::world::{World, WorldKind};
+
+/// What a city's file says it is.
+pub const FORMAT: &str = "foresight-city";
+/// The version that is read and written. It names the generator too: another version may make another city.
+pub const SCHEMA_VERSION: u32 = 1;
+/// Name of a city's file in its folder.
+pub const FILE_NAME: &str = "city.json";
+/// Most blocks of a city.
+pub const MAX_BLOCKS: u64 = 1 << 17;
+
+/// What a city is made from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CityParams {
+    /// Blocks from west to east, at least 1.
+    pub blocks_x: u32,
+    /// Blocks from south to north, at least 1.
+    pub blocks_y: u32,
+    /// Names the city among those of its size.
+    pub seed: u64,
+    /// From street to street, metres, 40 to 1000.
+    pub pitch: f64,
+    /// Width of the streets, metres, 0 to a third of the pitch.
+    pub street: f64,
+    /// Height that the tallest towers approach, metres, 20 to 1000.
+    pub tower_height: f64,
+    /// Share of the blocks that are parks, 0 to 1.
+    pub park_share: f64,
+}
+
+impl Default for CityParams {
+    /// About 2 km × 2 km.
+    fn default() -> CityParams {
+        CityParams {
+            blocks_x: 20,
+            blocks_y: 20,
+            seed: 1,
+            pitch: 100.0,
+            street: 14.0,
+            tower_height: 160.0,
+            park_share: 0.07,
+        }
+    }
+}
+
+/// Why there is no city.
+#[derive(Debug, thiserror::Error)]
+pub enum CityError {
+    /// A file cannot be read or written.
+    #[error("{}: {source}", file.display())]
+    Io {
+        /// The file.
+        file: PathBuf,
+        /// Why not.
+        source: std::io::Error,
+    },
+    /// A city's file is at fault.
+    #[error("{}: {source}", file.display())]
+    File {
+        /// The file.
+        file: PathBuf,
+        /// The fault.
+        source: CityFileError,
+    },
+    /// A parameter is out of range.
+    #[error(transparent)]
+    Param(#[from] CityParamError),
+    /// The tree cannot be built.
+    #[error("the generated city: {0}")]
+    Tree(#[from] LodTreeError),
+}
+
+/// A parameter out of range.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("{name} is {value}; expected {expected}")]
+pub struct CityParamError {
+    name: &'static str,
+    value: f64,
+    expected: String,
+}
+
+/// A fault in a city's file.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("{place}: {fault}")]
+pub struct CityFileError {
+    /// JSON path, or line and column.
+    pub place: String,
+    /// What is there, and what was expected.
+    pub fault: String,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct CityFile {
+    format: String,
+    schema_version: u32,
+    params: CityParams,
+}
+
+/// Reads the parameters in a city's file.
+pub fn parse(bytes: &[u8]) -> Result<CityParams, CityFileError> {
+    let file: CityFile = serde_json::from_slice(bytes).map_err(|error| CityFileError {
+        place: format!("line {}, column {}", error.line(), error.column()),
+        fault: error.to_string(),
+    })?;
+    let fault = |place: &str, fault: String| Err(CityFileError { place: place.to_owned(), fault });
+    if file.format != FORMAT {
+        return fault("$.format", format!("{:?}; expected {FORMAT:?}", file.format));
+    }
+    if file.schema_version != SCHEMA_VERSION {
+        return fault("$.schema_version", format!("{}; expected {SCHEMA_VERSION}", file.schema_version));
+    }
+    match file.params.check() {
+        Ok(()) => Ok(file.params),
+        Err(error) => fault(&format!("$.params.{}", error.name), error.to_string()),
+    }
+}
+
+/// Opens the city that a file describes.
+pub fn open(file: &Path) -> Result<World, CityError> {
+    let bytes = std::fs::read(file).map_err(|source| CityError::Io { file: file.to_owned(), source })?;
+    let params = parse(&bytes).map_err(|source| CityError::File { file: file.to_owned(), source })?;
+    city(&params)
+}
+
+/// Writes the folder `out` with a file that describes the city. `out` must not exist or be an empty folder.
+pub fn write(params: &CityParams, out: &Path) -> Result<(), CityError> {
+    params.check()?;
+    let io = |source| CityError::Io { file: out.to_owned(), source };
+    let file = CityFile { format: FORMAT.to_owned(), schema_version: SCHEMA_VERSION, params: params.clone() };
+    let mut text = serde_json::to_string_pretty(&file).map_err(|error| io(error.into()))?;
+    text.push('\n');
+    let staging = Staging::begin(out).map_err(io)?;
+    std::fs::write(staging.place(FILE_NAME).map_err(io)?, text).map_err(io)?;
+    staging.finish().map_err(io)
+}
+
+impl CityParams {
+    fn check(&self) -> Result<(), CityParamError> {
+        let range = |name: &'static str, value: f64, from: f64, to: f64| {
+            let inside = (from..=to).contains(&value);
+            if inside { Ok(()) } else { Err(CityParamError { name, value, expected: format!("{from} to {to}") }) }
+        };
+        range("blocks_x", f64::from(self.blocks_x), 1.0, 65_536.0)?;
+        range("blocks_y", f64::from(self.blocks_y), 1.0, 65_536.0)?;
+        let blocks = u64::from(self.blocks_x) * u64::from(self.blocks_y);
+        range("blocks_x times blocks_y", blocks as f64, 1.0, MAX_BLOCKS as f64)?;
+        range("pitch", self.pitch, 40.0, 1000.0)?;
+        range("street", self.street, 0.0, self.pitch / 3.0)?;
+        range("tower_height", self.tower_height, 20.0, 1000.0)?;
+        range("park_share", self.park_share, 0.0, 1.0)
+    }
+}
+
+/// Builds a city. The same parameters give the same world on every machine.
+pub fn city(params: &CityParams) -> Result<World, CityError> {
+    params.check()?;
+    let mut city = City { params, builder: LodTreeBuilder::default(), uris: UriTableBuilder::default() };
+    city.district([0, params.blocks_x, 0, params.blocks_y])?;
+    Ok(World {
+        name: "city".to_owned(),
+        kind: WorldKind::City,
+        tree: city.builder.finish()?,
+        uris: city.uris.finish(),
+        up: DVec3::Z,
+        ground: Ground::Flat(0.0),
+        georeference: None,
+        notes: Vec::new(),
+    })
+}
+
+/// A rectangle on the ground, metres.
+#[derive(Clone, Copy, Debug)]
+struct Rectangle {
+    min: DVec2,
+    max: DVec2,
+}
+
+impl Rectangle {
+    fn size(self) -> DVec2 {
+        self.max - self.min
+    }
+
+    fn inset(self, by: f64) -> Rectangle {
+        Rectangle { min: self.min + by, max: self.max - by }
+    }
+
+    fn raised(self, low: f64, high: f64) -> Aabb {
+        Aabb { min: self.min.extend(low), max: self.max.extend(high) }
+    }
+}
+
+/// Wire bytes, decoded bytes per wire byte, and error of a level of detail.
+struct Level {
+    wire: f64,
+    unfolds: f64,
+    error: f64,
+}
+
+/// Error of a block's coarse representation, metres; that of the district of 2ʰ × 2ʰ blocks is 2ʰ times as large.
+const BLOCK_ERROR: f64 = 2.0;
+/// Buildings are not split below this length, metres.
+const LOT: f64 = 34.0;
+
+/// Streams of random numbers.
+const STREETS_X: u64 = 1;
+const STREETS_Y: u64 = 2;
+const BLOCK: u64 = 3;
+const DISTRICT: u64 = 4;
+
+struct City<'a> {
+    params: &'a CityParams,
+    builder: LodTreeBuilder,
+    uris: UriTableBuilder,
+}
+
+impl City<'_> {
+    /// The blocks from..to along x and y. Recursion halves the longer side: at most 17 deep on each axis.
+    fn district(&mut self, [x0, x1, y0, y1]: [u32; 4]) -> Result<(), LodTreeError> {
+        if x1 - x0 == 1 && y1 - y0 == 1 {
+            return self.block(x0, y0);
+        }
+        let side = (x1 - x0).max(y1 - y0);
+        let height = side.next_power_of_two().trailing_zeros();
+        let mut random = Random::at(self.params.seed, DISTRICT + u64::from(height), u64::from(x0), u64::from(y0));
+        self.builder.open()?;
+        let error = libm::ldexp(BLOCK_ERROR, height as i32);
+        let level = Level { wire: random.within(20e3, 60e3), unfolds: random.within(4.0, 8.0), error };
+        self.add(&level, None, &format!("districts/{height}/"), &format!("{x0}_{y0}.glb"))?;
+        let halves = |from: u32, to: u32| {
+            let middle = from + (to - from).div_ceil(2);
+            [(from, middle), (middle, to)].into_iter().filter(|(from, to)| from < to)
+        };
+        for (y0, y1) in halves(y0, y1) {
+            for (x0, x1) in halves(x0, x1) {
+                self.district([x0, x1, y0, y1])?;
+            }
+        }
+        self.builder.close(None, 1.0)
+    }
+
+    /// The middle of street `index` of `count` + 1, metres. Inner streets are off the grid by up to 8 % of the pitch.
+    fn street(&self, axis: u64, index: u32, count: u32) -> f64 {
+        let regular = (f64::from(index) - 0.5 * f64::from(count)) * self.params.pitch;
+        if index == 0 || index == count {
+            return regular;
+        }
+        regular + Random::at(self.params.seed, axis, u64::from(index), 0).within(-0.08, 0.08) * self.params.pitch
+    }
+
+    fn block(&mut self, x: u32, y: u32) -> Result<(), LodTreeError> {
+        let CityParams { blocks_x, blocks_y, seed, street, .. } = *self.params;
+        let corner =
+            |x: u32, y: u32| DVec2::new(self.street(STREETS_X, x, blocks_x), self.street(STREETS_Y, y, blocks_y));
+        let whole = Rectangle { min: corner(x, y), max: corner(x + 1, y + 1) };
+        let mut random = Random::at(seed, BLOCK, u64::from(x), u64::from(y));
+        let folder = format!("blocks/{x}_{y}/");
+        let is_park = random.unit() < self.params.park_share;
+        let inner = whole.inset(0.5 * street);
+
+        self.builder.open()?;
+        let wire = if is_park { random.within(2e3, 5e3) } else { random.within(6e3, 14e3) };
+        let coarse = Level { wire, unfolds: random.within(5.0, 9.0), error: BLOCK_ERROR };
+        self.add(&coarse, None, &folder, "block.glb")?;
+        self.ground(whole, &mut random, &folder)?;
+        if is_park {
+            let trees = 12 + (random.unit() * 20.0) as u32;
+            for tree in 0..trees {
+                self.tree(inner, tree, &mut random, &folder)?;
+            }
+        } else {
+            for (index, lot) in lots(inner, &mut random).into_iter().enumerate() {
+                // Some lots are yards.
+                if index == 0 || random.unit() > 0.06 {
+                    self.building(lot, index, &mut random, &folder)?;
+                }
+            }
+        }
+        self.builder.close(None, 1.0)
+    }
+
+    /// The ground of a block, with half of the streets around it.
+    fn ground(&mut self, whole: Rectangle, random: &mut Random, folder: &str) -> Result<(), LodTreeError> {
+        self.builder.open()?;
+        let coarse = Level { wire: random.within(1.2e3, 2.5e3), unfolds: random.within(6.0, 10.0), error: 0.6 };
+        self.add(&coarse, None, folder, "ground-0.glb")?;
+        let fine = Level { wire: random.within(40e3, 90e3), unfolds: random.within(6.0, 10.0), error: 0.05 };
+        self.add(&fine, None, folder, "ground-1.glb")?;
+        self.builder.close(Some(whole.raised(-0.2, 0.0)), 1.0)
+    }
+
+    fn tree(&mut self, inner: Rectangle, index: u32, random: &mut Random, folder: &str) -> Result<(), LodTreeError> {
+        let radius = random.within(1.5, 4.0);
+        let height = radius * random.within(2.2, 4.0);
+        let room = inner.inset(radius);
+        let at = DVec2::new(random.within(room.min.x, room.max.x), random.within(room.min.y, room.max.y));
+        self.builder.open()?;
+        let card = Level { wire: random.within(1.0e3, 2.0e3), unfolds: random.within(6.0, 10.0), error: 0.5 };
+        self.add(&card, None, folder, &format!("tree-{index}-0.glb"))?;
+        let mesh = Level { wire: random.within(12e3, 30e3), unfolds: random.within(4.0, 7.0), error: 0.05 };
+        self.add(&mesh, None, folder, &format!("tree-{index}-1.glb"))?;
+        let around = Rectangle { min: at - radius, max: at + radius };
+        self.builder.close(Some(around.raised(0.0, height)), 1.0)
+    }
+
+    fn building(
+        &mut self,
+        lot: Rectangle,
+        index: usize,
+        random: &mut Random,
+        folder: &str,
+    ) -> Result<(), LodTreeError> {
+        let footprint = lot.inset(random.within(0.5, 2.5));
+        let centre = 0.5 * (footprint.min + footprint.max);
+        let radius = 0.2 * self.params.pitch * f64::from(self.params.blocks_x.max(self.params.blocks_y));
+        let centrality = libm::exp(-centre.length_squared() / (radius * radius));
+        let draw = random.unit();
+        let height = random.within(8.0, 24.0) + self.params.tower_height * centrality * draw * draw;
+        // Façades of 60 m × 60 m at the lower end of each range, those of the tallest towers at its upper end.
+        let facade = 2.0 * (footprint.size().x + footprint.size().y) * height;
+        let detail = (facade / 20e3).min(1.0);
+        let mut sized = |low: f64, high: f64| (low + (high - low) * detail) * random.within(0.85, 1.15);
+        let model = Level { wire: sized(1.6e3, 2.6e3), unfolds: 9.0, error: 1.0 };
+        let textured = Level { wire: sized(34e3, 70e3), unfolds: 7.0, error: 0.15 };
+        let facades = Level { wire: sized(178e3, 348e3), unfolds: 5.0, error: 0.02 };
+        let mut unfold = |level: Level| Level { unfolds: level.unfolds * random.within(0.85, 1.1), ..level };
+        self.builder.open()?;
+        self.add(&unfold(model), None, folder, &format!("building-{index}-0.glb"))?;
+        let middle = self.add(&unfold(textured), None, folder, &format!("building-{index}-1.glb"))?;
+        self.add(&unfold(facades), Some(middle), folder, &format!("building-{index}-2.glb"))?;
+        self.builder.close(Some(footprint.raised(0.0, height)), 1.0)
+    }
+
+    fn add(&mut self, level: &Level, needs: Option<RepId>, folder: &str, file: &str) -> Result<RepId, LodTreeError> {
+        let (prefix, tail) = (self.uris.intern(folder), self.uris.intern(file));
+        self.uris.push(prefix, tail);
+        #[expect(clippy::cast_possible_truncation, reason = "a few metres, to 7 digits")]
+        let error = level.error as f32;
+        self.builder.add(Representation {
+            wire_bytes: level.wire as u32,
+            decoded_bytes: (level.wire * level.unfolds) as u32,
+            error,
+            prerequisite: needs,
+            direction: None,
+        })
+    }
+}
+
+/// Splits a block across its longer side until every lot is at most a building long.
+fn lots(block: Rectangle, random: &mut Random) -> Vec<Rectangle> {
+    let mut waiting = vec![block];
+    let mut lots = Vec::new();
+    while let Some(part) = waiting.pop() {
+        let size = part.size();
+        if size.max_element() < LOT {
+            lots.push(part);
+            continue;
+        }
+        let cut = random.within(0.38, 0.62);
+        let (mut left, mut right) = (part, part);
+        if size.x >= size.y {
+            left.max.x = part.min.x + cut * size.x;
+            right.min.x = left.max.x;
+        } else {
+            left.max.y = part.min.y + cut * size.y;
+            right.min.y = left.max.y;
+        }
+        waiting.extend([right, left]);
+    }
+    lots
+}
+
+#[cfg(test)]
+mod tests {
+    use foresight_scheduler::lod_tree::NodeId;
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::world::{built_in_city, open};
+
+    #[test]
+    fn the_built_in_city() {
+        let world = built_in_city();
+        let summary = world.summary();
+        assert!(summary.representations >= 10_000, "{summary:?}");
+        assert!(summary.bounds.centre().truncate().length() < 1.0, "{summary:?}");
+        let size = summary.bounds.max - summary.bounds.min;
+        assert!((1900.0..=2100.0).contains(&size.x) && (1900.0..=2100.0).contains(&size.y), "{summary:?}");
+        assert!((60.0..=200.0).contains(&summary.bounds.max.z), "{summary:?}");
+        assert_eq!(world.ground_height(DVec3::new(3.0, 4.0, 500.0)), Some(0.0));
+        assert_eq!(world.hash(), built_in_city().hash());
+        assert_ne!(world.hash(), city(&CityParams { seed: 2, ..CityParams::default() }).unwrap().hash());
+    }
+
+    #[test]
+    fn sizes_and_errors_are_plausible() {
+        let world = built_in_city();
+        let tree = &world.tree;
+        let mut finest = 0;
+        for rep in (0..tree.representations() as u32).map(RepId) {
+            let (wire, decoded) = (tree.wire_bytes(rep) as f64, tree.decoded_bytes(rep) as f64);
+            assert!((3.9..=10.1).contains(&(decoded / wire)), "{}: {wire} {decoded}", world.uri(rep));
+            if let Some(needed) = tree.prerequisite(rep) {
+                finest += 1;
+                assert_eq!(tree.node_of(needed), tree.node_of(rep));
+                assert!((150e3..=405e3).contains(&wire) && (28e3..=82e3).contains(&(tree.wire_bytes(needed) as f64)));
+                assert!(tree.error(rep) < tree.error(needed));
+            }
+        }
+        assert!(finest > 3000, "{finest}");
+        for node in (0..tree.nodes() as u32).map(NodeId) {
+            let coarsest = tree.own(node).map(|rep| tree.error(rep)).fold(0.0, f64::max);
+            if let Some(parent) = tree.parent(node) {
+                let above = tree.own(parent).map(|rep| tree.error(rep)).fold(f64::INFINITY, f64::min);
+                assert!(coarsest < above, "{node:?}: {coarsest} beneath {above}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_written_city_is_opened_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("small");
+        let params = CityParams { blocks_x: 3, blocks_y: 1, seed: u64::MAX, ..CityParams::default() };
+        write(&params, &out).unwrap();
+        assert_eq!(open(&out).unwrap().hash(), city(&params).unwrap().hash());
+        assert_eq!(open(&out.join(FILE_NAME)).unwrap().hash(), city(&params).unwrap().hash());
+        assert!(write(&params, &out).unwrap_err().to_string().contains("not empty"));
+    }
+
+    #[test]
+    fn refuses_parameters_out_of_range() {
+        let with = |text: &str| {
+            parse(format!(r#"{{"format":"foresight-city","schema_version":1,"params":{text}}}"#).as_bytes())
+        };
+        assert_eq!(with(r#"{"seed":7}"#), Ok(CityParams { seed: 7, ..CityParams::default() }));
+        for (text, name) in [
+            (r#"{"blocks_x":0}"#, "blocks_x"),
+            (r#"{"blocks_x":65536,"blocks_y":65536}"#, "blocks_x times blocks_y"),
+            (r#"{"street":80}"#, "street"),
+            (r#"{"pitch":1e999}"#, "line 1"),
+            (r#"{"hight":3}"#, "line 1"),
+        ] {
+            let error = with(text).unwrap_err().to_string();
+            assert!(error.contains(name), "{error}");
+        }
+        assert!(parse(br#"{"format":"foresight-town","schema_version":1,"params":{}}"#).is_err());
+        assert!(parse(br#"{"format":"foresight-city","schema_version":9,"params":{}}"#).is_err());
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(24))]
+        #[test]
+        fn every_city_in_range_is_built(x in 1_u32..9, y in 1_u32..9, seed: u64, pitch in 40.0..300.0, share in 0.0..=1.0) {
+            let params = CityParams { blocks_x: x, blocks_y: y, seed, pitch, street: 0.3 * pitch, park_share: share, ..CityParams::default() };
+            let world = city(&params).unwrap();
+            prop_assert_eq!(world.uris.len(), world.tree.representations());
+            prop_assert!(world.summary().leaves >= u64::from(x * y));
+        }
+    }
+}

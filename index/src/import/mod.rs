@@ -1,0 +1,4 @@
+//! Readers of formats that others define.
+
+#[cfg(feature = "tiles3d")]
+pub mod tiles3d;

@@ -1,0 +1,356 @@
+//! From walked tiles to a world: contents are read, once each and in parallel; the vertical is found; what shows
+//! nothing is pruned; errors are made monotone; the tree is built.
+
+use foresight_scheduler::lod_tree::{Aabb, LodTree, LodTreeBuilder, LodTreeError, Representation};
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::Tiles3dError;
+use super::content::{self, ContentKind, Placed};
+use super::limits::MAX_NOTED_FILES;
+use super::resolve::{Folder, folder_of};
+use super::volume::{WGS84_A, WGS84_B};
+use super::walk::{NONE, Placement, Variant, Walked};
+use crate::ground::{Ground, LeafHeights};
+use crate::uris::UriTable;
+use crate::world::{Georeference, Note, Severity, World, WorldKind};
+
+/// Contents further than this from the origin are taken as Earth-centred, metres.
+const PLANETARY: f64 = 6.0e6;
+
+/// A content file that was read.
+struct Read {
+    wire_bytes: u32,
+    decoded_bytes: u32,
+    /// For each of the file's variants, in order: what it shows, if vertices are known.
+    placed: Vec<Option<Placed>>,
+    notes: Vec<(Finding, String)>,
+    files: Vec<String>,
+}
+
+/// What can be said about a content file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Finding {
+    NotThere,
+    Unreadable,
+    NoMesh,
+    NotExact,
+    BadVertices,
+    UnreadImages,
+    MissingFiles,
+    TooLarge,
+}
+
+/// Builds the world, and lists the files that it was read from.
+pub(crate) fn assemble(folder: &Folder, name: &str, walked: Walked) -> Result<(World, Vec<String>), Tiles3dError> {
+    let Walked { nodes, variants, linears, files, mut other_files, uris, mut notes, has_region, .. } = walked;
+    let mut of_file: Vec<Vec<u32>> = vec![Vec::new(); files.len()];
+    for (id, variant) in variants.iter().enumerate() {
+        of_file[variant.file as usize].push(id as u32);
+    }
+    let read: Vec<Read> = files
+        .par_iter()
+        .zip(&of_file)
+        .map(|(file, ids)| {
+            let linear = |id: &u32| &linears[variants[*id as usize].linear as usize];
+            let wanted = ids.iter().map(|id| (&variants[*id as usize], linear(id)));
+            read_content(folder, file, &wanted.collect::<Vec<_>>())
+        })
+        .collect();
+    let mut placed: Vec<Option<Placed>> = vec![None; variants.len()];
+    for (read, ids) in read.iter().zip(&of_file) {
+        for (&id, &found) in ids.iter().zip(&read.placed) {
+            placed[id as usize] = found;
+        }
+    }
+    summarise(&files, &read, &mut notes);
+    other_files.extend(files.iter().zip(&read).filter(|(_, read)| read.wire_bytes > 0).map(|(file, _)| file.clone()));
+    other_files.extend(read.iter().flat_map(|read| read.files.iter().cloned()));
+
+    let scene = Scene { nodes: &nodes, variants: &variants, placed: &placed, read: &read };
+    let root_file = folder.at(name);
+    let shows = scene.shows();
+    if !shows.first().is_some_and(|&root| root) {
+        let first = notes.first().map_or_else(String::new, |note| format!(" ({note})"));
+        return Err(Tiles3dError::Empty { file: root_file, first });
+    }
+    let leaves = scene.leaves(&shows);
+    let middle = leaves.iter().fold(Aabb::EMPTY, |sum, &leaf| sum.union(scene.bounds(leaf))).centre();
+    let is_earth = has_region || middle.length() > PLANETARY;
+    let up = if is_earth { vertical(middle) } else { scene.facing(&leaves, name, &mut notes) };
+    let (tree, uris) =
+        scene.build(&shows, uris, name, &mut notes).map_err(|source| Tiles3dError::Tree { file: root_file, source })?;
+    let heights = leaves.iter().map(|&leaf| scene.height(leaf, up));
+    let ground = Ground::Leaves(LeafHeights::new(middle.dot(up), heights));
+    let georeference = is_earth.then_some(Georeference::Ecef);
+    let world = World { name: String::new(), kind: WorldKind::Tiles3d, tree, uris, up, ground, georeference, notes };
+    Ok((world, other_files))
+}
+
+fn read_content(folder: &Folder, file: &str, wanted: &[(&Variant, &glam::DMat3)]) -> Read {
+    let mut read = Read {
+        wire_bytes: 0,
+        decoded_bytes: 0,
+        placed: vec![None; wanted.len()],
+        notes: Vec::new(),
+        files: Vec::new(),
+    };
+    let bytes = match folder.read(file) {
+        Ok(bytes) if bytes.is_empty() => {
+            read.notes.push((Finding::NotThere, "an empty file".to_owned()));
+            return read;
+        }
+        Ok(bytes) => bytes,
+        Err(error) => {
+            read.notes.push((Finding::NotThere, error.to_string()));
+            return read;
+        }
+    };
+    let base = folder_of(file).to_owned();
+    let content = match content::parse(&bytes, &|uri| folder.fetch(&base, uri)) {
+        Ok(content) => content,
+        Err(error) => {
+            read.notes.push((Finding::Unreadable, error.to_string()));
+            return read;
+        }
+    };
+    let geometry = &content.geometry;
+    let wire = (bytes.len() as u64).saturating_add(geometry.external_bytes);
+    if wire > u64::from(u32::MAX) || geometry.decoded_bytes > u64::from(u32::MAX) {
+        let found = format!("{wire} bytes on the wire and {} in memory", geometry.decoded_bytes);
+        read.notes.push((Finding::TooLarge, found));
+        return read;
+    }
+    read.wire_bytes = wire as u32;
+    read.decoded_bytes = geometry.decoded_bytes as u32;
+    for (slot, (variant, linear)) in read.placed.iter_mut().zip(wanted) {
+        *slot = content::place(&content, &variant.up.rotation(), linear);
+    }
+    let mut note = |happened: bool, finding: Finding, text: String| {
+        if happened {
+            read.notes.push((finding, text));
+        }
+    };
+    note(!content.kind.has_mesh(), Finding::NoMesh, kind_name(content.kind).to_owned());
+    note(content.kind.has_mesh() && !geometry.exact, Finding::NotExact, String::new());
+    note(geometry.bad_vertices > 0, Finding::BadVertices, format!("{} of them", geometry.bad_vertices));
+    note(geometry.unread_images > 0, Finding::UnreadImages, format!("{} of them", geometry.unread_images));
+    note(!geometry.missing_files.is_empty(), Finding::MissingFiles, geometry.missing_files.join(", "));
+    let resolved = geometry.external_files.iter().map(|uri| folder.resolve(&base, uri));
+    read.files = resolved
+        .filter_map(|target| match target {
+            super::resolve::Target::File { file, .. } => Some(file),
+            _ => None,
+        })
+        .collect();
+    read
+}
+
+fn kind_name(kind: ContentKind) -> &'static str {
+    match kind {
+        ContentKind::Glb | ContentKind::Gltf => "a glTF",
+        ContentKind::B3dm => "a batched model",
+        ContentKind::I3dm => "an instanced model",
+        ContentKind::Pnts => "a point cloud",
+        ContentKind::Cmpt => "a composite",
+    }
+}
+
+/// One note per kind of finding for the first files, and the count of the rest.
+fn summarise(files: &[String], read: &[Read], notes: &mut Vec<Note>) {
+    let mut findings: Vec<(Finding, &String, &String)> = Vec::new();
+    for (file, read) in files.iter().zip(read) {
+        findings.extend(read.notes.iter().map(|(finding, text)| (*finding, file, text)));
+    }
+    findings.sort();
+    for group in findings.chunk_by(|a, b| a.0 == b.0) {
+        for &(finding, file, text) in group.iter().take(MAX_NOTED_FILES) {
+            let (severity, text) = finding.say(text);
+            notes.push(Note { severity, file: file.clone(), place: String::new(), text });
+        }
+        if let Some(more) = group.len().checked_sub(MAX_NOTED_FILES).filter(|&more| more > 0) {
+            let (finding, file, text) = group[MAX_NOTED_FILES];
+            let (severity, text) = finding.say(text);
+            let text = format!("{text} (and {} more like it)", more - 1);
+            notes.push(Note { severity, file: file.clone(), place: String::new(), text });
+        }
+    }
+}
+
+impl Finding {
+    fn say(self, text: &str) -> (Severity, String) {
+        match self {
+            Finding::NotThere => (Severity::Missing, format!("{text}; its tile is without it")),
+            Finding::Unreadable => (Severity::Missing, format!("{text}; its tile is without it")),
+            Finding::TooLarge => (Severity::Missing, format!("{text}; expected below 4 GiB, its tile is without it")),
+            Finding::NoMesh => {
+                (Severity::Trap, format!("{text}: bounds as declared, bytes in memory counted as those of the file"))
+            }
+            Finding::NotExact => (
+                Severity::Trap,
+                "vertices compressed or not readable: bounds from what the accessors declare".to_owned(),
+            ),
+            Finding::BadVertices => {
+                (Severity::Repair, format!("vertices that are not finite, {text}: left out of the bounds"))
+            }
+            Finding::UnreadImages => {
+                (Severity::Trap, format!("images of unknown size, {text}: not counted in the bytes in memory"))
+            }
+            Finding::MissingFiles => (Severity::Missing, format!("names {text:?}, not there: not counted")),
+        }
+    }
+}
+
+/// Direction away from the ellipsoid through a point near its surface: the gradient of x²/a² + y²/a² + z²/b².
+fn vertical(at: DVec3) -> DVec3 {
+    let gradient = at / DVec3::new(WGS84_A * WGS84_A, WGS84_A * WGS84_A, WGS84_B * WGS84_B);
+    gradient.try_normalize().unwrap_or(DVec3::Z)
+}
+
+struct Scene<'a> {
+    nodes: &'a [Placement],
+    variants: &'a [Variant],
+    placed: &'a [Option<Placed>],
+    read: &'a [Read],
+}
+
+impl Scene<'_> {
+    /// What a node's content costs, if it can be had.
+    fn content(&self, node: u32) -> Option<&Read> {
+        let variant = self.nodes[node as usize].variant;
+        let read = &self.read[self.variants.get(variant as usize)?.file as usize];
+        (read.wire_bytes > 0).then_some(read)
+    }
+
+    /// Which nodes have a content at or beneath them.
+    fn shows(&self) -> Vec<bool> {
+        let mut shows: Vec<bool> = (0..self.nodes.len() as u32).map(|node| self.content(node).is_some()).collect();
+        for node in (1..self.nodes.len()).rev() {
+            if shows[node] {
+                shows[self.nodes[node].parent as usize] = true;
+            }
+        }
+        shows
+    }
+
+    /// The nodes that will be leaves, in order.
+    fn leaves(&self, shows: &[bool]) -> Vec<u32> {
+        let mut inner = vec![false; self.nodes.len()];
+        for (node, _) in self.nodes.iter().zip(shows).filter(|&(node, &shows)| shows && node.parent != NONE) {
+            inner[node.parent as usize] = true;
+        }
+        (0..self.nodes.len() as u32).filter(|&node| shows[node as usize] && !inner[node as usize]).collect()
+    }
+
+    fn placed(&self, node: u32) -> Option<&Placed> {
+        let variant = self.nodes[node as usize].variant as usize;
+        if self.variants.get(variant)?.stand_in { None } else { self.placed[variant].as_ref() }
+    }
+
+    /// Bounds of what a node's own content shows: of its vertices, else as declared.
+    fn bounds(&self, node: u32) -> Aabb {
+        let given = &self.nodes[node as usize];
+        match self.placed(node) {
+            Some(Placed { bounds, .. }) => {
+                Aabb { min: bounds.min + given.translation, max: bounds.max + given.translation }
+            }
+            None => given.declared,
+        }
+    }
+
+    /// Mean height of a leaf's vertices; without vertices, that of the bottom of its bounds. Metres along up.
+    fn height(&self, node: u32, up: DVec3) -> f64 {
+        match self.placed(node) {
+            Some(placed) => (placed.mean + self.nodes[node as usize].translation).dot(up),
+            None => {
+                let bounds = self.bounds(node);
+                bounds.centre().dot(up) - (0.5 * (bounds.max - bounds.min)).dot(up.abs())
+            }
+        }
+    }
+
+    /// The vertical of a world that does not lie on the Earth: z as 3D Tiles says, unless the leaves' surfaces face
+    /// another axis, more than half of their area going that way and z less than half of that.
+    fn facing(&self, leaves: &[u32], name: &str, notes: &mut Vec<Note>) -> DVec3 {
+        let (mut vector, mut area) = (DVec3::ZERO, 0.0);
+        for placed in leaves.iter().filter_map(|&leaf| self.placed(leaf)) {
+            vector += placed.area_vector;
+            area += placed.area;
+        }
+        let share = vector / area;
+        let axes = [("+x", DVec3::X), ("-x", DVec3::NEG_X), ("+y", DVec3::Y), ("-y", DVec3::NEG_Y)];
+        let best = axes.into_iter().max_by(|a, b| share.dot(a.1).total_cmp(&share.dot(b.1)));
+        match best {
+            Some((axis, up)) if share.dot(up) > 0.5 && share.z.abs() < 0.5 * share.dot(up) => {
+                let percent = (100.0 * share.dot(up)).round();
+                notes.push(Note {
+                    severity: Severity::Trap,
+                    file: name.to_owned(),
+                    place: "$.asset.gltfUpAxis".to_owned(),
+                    text: format!(
+                        "up is declared z, but surfaces face {axis} ({percent} % of their area): {axis} is taken as up"
+                    ),
+                });
+                up
+            }
+            _ => DVec3::Z,
+        }
+    }
+
+    /// The tree, with the address of every representation.
+    fn build(
+        &self,
+        shows: &[bool],
+        mut uris: crate::uris::UriTableBuilder,
+        name: &str,
+        notes: &mut Vec<Note>,
+    ) -> Result<(LodTree, UriTable), LodTreeError> {
+        let mut builder = LodTreeBuilder::default();
+        // Open nodes: which, and the error of the nearest representation at or above each.
+        let mut open: Vec<(u32, f32)> = Vec::new();
+        let (mut clamped, mut worst) = (0_u64, 0.0_f32);
+        for (id, node) in (0..self.nodes.len() as u32).zip(self.nodes) {
+            if !shows[id as usize] {
+                continue;
+            }
+            while let Some(&(top, _)) = open.last().filter(|&&(top, _)| top != node.parent) {
+                self.close(&mut builder, top)?;
+                open.pop();
+            }
+            builder.open()?;
+            let above = open.last().map_or(f32::INFINITY, |&(_, error)| error);
+            let mut nearest = above;
+            if let Some(read) = self.content(id) {
+                nearest = node.error.min(above);
+                if node.error > above {
+                    clamped += 1;
+                    worst = worst.max(node.error - above);
+                }
+                builder.add(Representation {
+                    wire_bytes: read.wire_bytes,
+                    decoded_bytes: read.decoded_bytes,
+                    error: nearest,
+                    prerequisite: None,
+                    direction: None,
+                })?;
+                uris.push(node.uri.0, node.uri.1);
+            }
+            open.push((id, nearest));
+        }
+        while let Some((top, _)) = open.pop() {
+            self.close(&mut builder, top)?;
+        }
+        if clamped > 0 {
+            let text = format!(
+                "{clamped} tiles with an error above that of the tile they refine, by up to {worst} m: lowered to it"
+            );
+            notes.push(Note { severity: Severity::Repair, file: name.to_owned(), place: String::new(), text });
+        }
+        Ok((builder.finish()?, uris.finish()))
+    }
+
+    fn close(&self, builder: &mut LodTreeBuilder, node: u32) -> Result<(), LodTreeError> {
+        let bounds = self.content(node).map(|_| self.bounds(node));
+        builder.close(bounds, 1.0)
+    }
+}

@@ -1,0 +1,502 @@
+//! One `tileset.json`, read without recursion, so that neither a deep tree nor deep extras can exhaust the stack.
+
+use std::fmt::Display;
+use std::io::Read;
+
+use glam::{DMat3, DMat4, DVec3};
+use serde::Deserialize;
+use struson::reader::json_path::JsonPathPiece;
+use struson::reader::{JsonReader, JsonStreamReader, ReaderError, ReaderSettings};
+use struson::serde::DeserializerError;
+
+use super::limits::MAX_TILES;
+use super::volume::Volume;
+
+/// A tileset document: its tiles in preorder.
+#[derive(Clone, Debug, Default)]
+pub struct TilesetDocument {
+    /// Which axis of glTF contents points up in the tile's space.
+    pub gltf_up: GltfUp,
+    /// `asset.version`.
+    pub version: String,
+    /// Preorder; the root is 0.
+    pub tiles: Vec<Tile>,
+    /// Contents of all tiles, in their order.
+    pub contents: Vec<Content>,
+}
+
+/// `asset.gltfUpAxis`: the axis of the glTF contents that becomes z of the tile.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub enum GltfUp {
+    /// x.
+    X,
+    /// y, glTF's own.
+    #[default]
+    Y,
+    /// z: contents are taken as they are.
+    Z,
+}
+
+impl GltfUp {
+    /// From glTF axes to the tile's axes.
+    pub fn rotation(self) -> DMat3 {
+        match self {
+            GltfUp::X => DMat3::from_cols(DVec3::Z, DVec3::Y, DVec3::NEG_X),
+            GltfUp::Y => DMat3::from_cols(DVec3::X, DVec3::Z, DVec3::NEG_Y),
+            GltfUp::Z => DMat3::IDENTITY,
+        }
+    }
+}
+
+/// How children refine a tile.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Refine {
+    /// They are shown in its stead.
+    Replace,
+    /// They are shown with it.
+    Add,
+}
+
+/// A tile.
+#[derive(Clone, Debug)]
+pub struct Tile {
+    /// The tile above, `u32::MAX` for the root.
+    pub parent: u32,
+    /// Which of its parent's children it is.
+    pub child: u32,
+    /// One past the last tile beneath.
+    pub subtree_end: u32,
+    /// Into the parent's space, if given.
+    pub transform: Option<Box<DMat4>>,
+    /// Around the tile's contents and those of its children.
+    pub volume: Volume,
+    /// Metres.
+    pub geometric_error: f64,
+    /// `None`: as the parent.
+    pub refine: Option<Refine>,
+    /// Its contents: a range in [`TilesetDocument::contents`].
+    pub contents: (u32, u32),
+    /// Set if the tile is the root of an implicit tiling.
+    pub implicit: Option<Box<ImplicitTiling>>,
+}
+
+/// A content of a tile.
+#[derive(Clone, Debug)]
+pub struct Content {
+    /// As written, relative to the document.
+    pub uri: String,
+    /// Tighter than the tile's, if given.
+    pub volume: Option<Volume>,
+}
+
+/// `implicitTiling` of 3D Tiles 1.1.
+#[derive(Clone, Debug)]
+pub struct ImplicitTiling {
+    /// Children per tile, 4 or 8.
+    pub branching: u32,
+    /// Levels per subtree.
+    pub subtree_levels: u32,
+    /// Levels with tiles.
+    pub available_levels: u32,
+    /// Template of the subtrees' addresses.
+    pub subtrees: String,
+}
+
+/// A fault in a tileset document.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{place}: {fault}")]
+pub struct DocumentError {
+    /// JSON path, with line and column where they are known.
+    pub place: String,
+    /// What is there, and what was expected.
+    pub fault: String,
+}
+
+/// Reads a tileset document.
+pub fn parse_tileset(bytes: &[u8]) -> Result<TilesetDocument, DocumentError> {
+    let bytes = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
+    let settings = ReaderSettings { max_nesting_depth: None, ..ReaderSettings::default() };
+    let mut reader = JsonStreamReader::new_custom(bytes, settings);
+    let mut document = TilesetDocument::default();
+    let mut asset = false;
+    reader.begin_object()?;
+    while reader.has_next()? {
+        match reader.next_name()? {
+            "asset" => {
+                let given: Asset = value(&mut reader, "asset")?;
+                if !matches!(given.version.as_str(), "0.0" | "1.0" | "1.1") {
+                    let fault = format!("version {:?}; expected \"1.0\" or \"1.1\"", given.version);
+                    return Err(DocumentError { place: "$.asset.version".to_owned(), fault });
+                }
+                document.gltf_up = match given.gltf_up_axis.as_deref().unwrap_or("Y") {
+                    "X" | "x" => GltfUp::X,
+                    "Y" | "y" => GltfUp::Y,
+                    "Z" | "z" => GltfUp::Z,
+                    other => {
+                        let fault = format!("{other:?}; expected \"X\", \"Y\" or \"Z\"");
+                        return Err(DocumentError { place: "$.asset.gltfUpAxis".to_owned(), fault });
+                    }
+                };
+                document.version = given.version;
+                asset = true;
+            }
+            "root" => {
+                if !document.tiles.is_empty() {
+                    return Err(fault(&reader, "a second root; expected one"));
+                }
+                read_tiles(&mut reader, &mut document)?;
+            }
+            _ => reader.skip_value()?,
+        }
+    }
+    reader.end_object()?;
+    reader.consume_trailing_whitespace()?;
+    let missing = |member| {
+        Err(DocumentError {
+            place: "$".to_owned(),
+            fault: format!("no member {member:?}; expected a 3D Tiles tileset"),
+        })
+    };
+    match (asset, document.tiles.is_empty()) {
+        (false, _) => missing("asset"),
+        (_, true) => missing("root"),
+        _ => Ok(document),
+    }
+}
+
+#[derive(Deserialize)]
+struct Asset {
+    version: String,
+    #[serde(rename = "gltfUpAxis")]
+    gltf_up_axis: Option<String>,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct VolumeJson {
+    r#box: Option<Vec<f64>>,
+    region: Option<Vec<f64>>,
+    sphere: Option<Vec<f64>>,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct ContentJson {
+    uri: Option<String>,
+    url: Option<String>,
+    bounding_volume: Option<VolumeJson>,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct ImplicitJson {
+    subdivision_scheme: String,
+    subtree_levels: u32,
+    available_levels: u32,
+    subtrees: SubtreesJson,
+}
+
+#[derive(Deserialize)]
+struct SubtreesJson {
+    uri: String,
+}
+
+/// What the reader is inside of.
+enum Inside {
+    /// A tile's object.
+    Tile(Unfinished),
+    /// The array of a tile's children: its index and how many were begun.
+    Children(u32, u32),
+}
+
+/// A tile whose members are still being read.
+struct Unfinished {
+    index: u32,
+    volume: bool,
+    geometric_error: bool,
+    children: bool,
+    contents: Vec<Content>,
+}
+
+fn read_tiles<R: Read>(reader: &mut JsonStreamReader<R>, document: &mut TilesetDocument) -> Result<(), DocumentError> {
+    let mut stack = vec![Inside::Tile(open(reader, document, u32::MAX, 0)?)];
+    while let Some(inside) = stack.last_mut() {
+        match inside {
+            Inside::Children(parent, begun) => {
+                if reader.has_next()? {
+                    let (parent, child) = (*parent, *begun);
+                    *begun += 1;
+                    stack.push(Inside::Tile(open(reader, document, parent, child)?));
+                } else {
+                    reader.end_array()?;
+                    stack.pop();
+                }
+            }
+            Inside::Tile(tile) => {
+                if reader.has_next()? {
+                    if read_member(reader, document, tile)? {
+                        let parent = tile.index;
+                        stack.push(Inside::Children(parent, 0));
+                    }
+                } else {
+                    close(reader, document, tile)?;
+                    reader.end_object()?;
+                    stack.pop();
+                }
+            }
+        }
+    }
+    Ok(())
+}
+
+fn open<R: Read>(
+    reader: &mut JsonStreamReader<R>,
+    document: &mut TilesetDocument,
+    parent: u32,
+    child: u32,
+) -> Result<Unfinished, DocumentError> {
+    if document.tiles.len() >= MAX_TILES {
+        return Err(fault(reader, format!("more than {MAX_TILES} tiles; expected at most that")));
+    }
+    reader.begin_object()?;
+    let index = document.tiles.len() as u32;
+    document.tiles.push(Tile {
+        parent,
+        child,
+        subtree_end: 0,
+        transform: None,
+        volume: Volume::Sphere { centre: DVec3::ZERO, radius: 0.0 },
+        geometric_error: 0.0,
+        refine: None,
+        contents: (0, 0),
+        implicit: None,
+    });
+    Ok(Unfinished { index, volume: false, geometric_error: false, children: false, contents: Vec::new() })
+}
+
+/// Reads one member of a tile; true if it opened the array of children.
+fn read_member<R: Read>(
+    reader: &mut JsonStreamReader<R>,
+    document: &mut TilesetDocument,
+    unfinished: &mut Unfinished,
+) -> Result<bool, DocumentError> {
+    let tile = &mut document.tiles[unfinished.index as usize];
+    match reader.next_name()? {
+        "boundingVolume" => {
+            let given: VolumeJson = value(reader, "boundingVolume")?;
+            tile.volume = volume(&given).map_err(|text| member_fault(reader, "boundingVolume", text))?;
+            unfinished.volume = true;
+        }
+        "geometricError" => {
+            let given: f64 = value(reader, "geometricError")?;
+            if !(given.is_finite() && given >= 0.0) {
+                let text = format!("{given}; expected metres, finite and not negative");
+                return Err(member_fault(reader, "geometricError", text));
+            }
+            tile.geometric_error = given;
+            unfinished.geometric_error = true;
+        }
+        "refine" => {
+            let given = reader.next_string()?;
+            tile.refine = Some(match given.to_ascii_uppercase().as_str() {
+                "REPLACE" => Refine::Replace,
+                "ADD" => Refine::Add,
+                _ => {
+                    let text = format!("{given:?}; expected \"ADD\" or \"REPLACE\"");
+                    return Err(member_fault(reader, "refine", text));
+                }
+            });
+        }
+        "transform" => {
+            let given: Vec<f64> = value(reader, "transform")?;
+            let matrix = transform(&given).map_err(|text| member_fault(reader, "transform", text))?;
+            tile.transform = (matrix != DMat4::IDENTITY).then(|| Box::new(matrix));
+        }
+        "content" => {
+            let given: ContentJson = value(reader, "content")?;
+            let content = content(given).map_err(|text| member_fault(reader, "content", text))?;
+            unfinished.contents.push(content);
+        }
+        "contents" => {
+            for given in value::<_, Vec<ContentJson>>(reader, "contents")? {
+                let content = content(given).map_err(|text| member_fault(reader, "contents", text))?;
+                unfinished.contents.push(content);
+            }
+        }
+        "implicitTiling" => {
+            let given: ImplicitJson = value(reader, "implicitTiling")?;
+            let tiling = implicit(given).map_err(|text| member_fault(reader, "implicitTiling", text))?;
+            tile.implicit = Some(Box::new(tiling));
+        }
+        "children" => {
+            if std::mem::replace(&mut unfinished.children, true) {
+                return Err(member_fault(reader, "children", "given twice; expected once"));
+            }
+            reader.begin_array()?;
+            return Ok(true);
+        }
+        _ => reader.skip_value()?,
+    }
+    Ok(false)
+}
+
+fn close<R: Read>(
+    reader: &mut JsonStreamReader<R>,
+    document: &mut TilesetDocument,
+    unfinished: &mut Unfinished,
+) -> Result<(), DocumentError> {
+    if !unfinished.geometric_error {
+        return Err(tile_fault(reader, "no member \"geometricError\"; expected metres"));
+    }
+    if !unfinished.volume {
+        return Err(tile_fault(reader, "no member \"boundingVolume\"; expected a box, a region or a sphere"));
+    }
+    let end = document.tiles.len() as u32;
+    let tile = &mut document.tiles[unfinished.index as usize];
+    tile.subtree_end = end;
+    if tile.implicit.is_some() && unfinished.children {
+        return Err(tile_fault(reader, "both \"implicitTiling\" and \"children\"; expected one of them"));
+    }
+    let first = document.contents.len() as u32;
+    document.contents.append(&mut unfinished.contents);
+    tile.contents = (first, document.contents.len() as u32);
+    Ok(())
+}
+
+fn volume(given: &VolumeJson) -> Result<Volume, String> {
+    let numbers = |name: &str, values: &[f64], count: usize| {
+        if values.len() == count && values.iter().all(|value| value.is_finite()) {
+            return Ok(());
+        }
+        Err(format!("{name} with {} numbers; expected {count}, all finite", values.len()))
+    };
+    if let Some(values) = &given.r#box {
+        numbers("box", values, 12)?;
+        let column = |at: usize| DVec3::from_slice(&values[at..at + 3]);
+        return Ok(Volume::Box { centre: column(0), half_axes: DMat3::from_cols(column(3), column(6), column(9)) });
+    }
+    if let Some(values) = &given.region {
+        numbers("region", values, 6)?;
+        let [_, south, _, north, low, high] = [values[0], values[1], values[2], values[3], values[4], values[5]];
+        let quarter = core::f64::consts::FRAC_PI_2 + 1e-9;
+        if !(-quarter <= south && south <= north && north <= quarter && low <= high) {
+            return Err(format!("region {values:?}; expected −π/2 ≤ south ≤ north ≤ π/2 and heights in order"));
+        }
+        if values[0].abs() > 7.0 || values[2].abs() > 7.0 {
+            return Err(format!("region {values:?}; expected longitudes in radians"));
+        }
+        return Ok(Volume::Region([values[0], south, values[2], north, low, high]));
+    }
+    if let Some(values) = &given.sphere {
+        numbers("sphere", values, 4)?;
+        if values[3] < 0.0 {
+            return Err(format!("sphere with the radius {}; expected one that is not negative", values[3]));
+        }
+        return Ok(Volume::Sphere { centre: DVec3::from_slice(&values[..3]), radius: values[3] });
+    }
+    Err("neither \"box\", \"region\" nor \"sphere\"; expected one of them".to_owned())
+}
+
+fn transform(values: &[f64]) -> Result<DMat4, String> {
+    let values: &[f64; 16] =
+        values.try_into().map_err(|_| format!("{} numbers; expected 16, column by column", values.len()))?;
+    if let Some(bad) = values.iter().find(|value| !value.is_finite()) {
+        return Err(format!("{bad}; expected finite numbers"));
+    }
+    let matrix = DMat4::from_cols_array(values);
+    if (matrix.row(3) - glam::DVec4::W).abs().max_element() > 1e-9 {
+        return Err(format!("last row {}; expected an affine transform, [0, 0, 0, 1]", matrix.row(3)));
+    }
+    Ok(matrix)
+}
+
+fn content(given: ContentJson) -> Result<Content, String> {
+    let uri = given.uri.or(given.url).ok_or("no member \"uri\"; expected the content's address")?;
+    let volume = given.bounding_volume.as_ref().map(volume).transpose()?;
+    Ok(Content { uri, volume })
+}
+
+fn implicit(given: ImplicitJson) -> Result<ImplicitTiling, String> {
+    let branching = match given.subdivision_scheme.as_str() {
+        "QUADTREE" => 4,
+        "OCTREE" => 8,
+        other => return Err(format!("subdivisionScheme {other:?}; expected \"QUADTREE\" or \"OCTREE\"")),
+    };
+    let most = if branching == 4 { 12 } else { 8 };
+    if !(1..=most).contains(&given.subtree_levels) {
+        return Err(format!("subtreeLevels {}; expected 1 to {most}", given.subtree_levels));
+    }
+    if !(1..=30).contains(&given.available_levels) {
+        return Err(format!("availableLevels {}; expected 1 to 30", given.available_levels));
+    }
+    Ok(ImplicitTiling {
+        branching,
+        subtree_levels: given.subtree_levels,
+        available_levels: given.available_levels,
+        subtrees: given.subtrees.uri,
+    })
+}
+
+/// Where the reader is: a JSON path, then line and column.
+fn place<R: Read>(reader: &JsonStreamReader<R>) -> (String, String) {
+    let position = reader.current_position(true);
+    let mut path = "$".to_owned();
+    for piece in position.path.iter().flatten() {
+        match piece {
+            JsonPathPiece::ArrayItem(index) => path.push_str(&format!("[{index}]")),
+            JsonPathPiece::ObjectMember(name) => path.push_str(&format!(".{name}")),
+        }
+    }
+    let line = position.line_pos.map(|at| format!(" (line {}, column {})", at.line + 1, at.column + 1));
+    (path, line.unwrap_or_default())
+}
+
+/// A path without its middle, if it is very long.
+pub(crate) fn shortened(path: &str) -> String {
+    let count = path.chars().count();
+    if count <= 240 {
+        return path.to_owned();
+    }
+    let head: String = path.chars().take(120).collect();
+    let tail: String = path.chars().skip(count - 100).collect();
+    format!("{head} … {tail}")
+}
+
+/// The value of the member whose name was read last.
+fn value<R: Read, T: for<'a> Deserialize<'a>>(
+    reader: &mut JsonStreamReader<R>,
+    member: &str,
+) -> Result<T, DocumentError> {
+    match reader.deserialize_next() {
+        Ok(value) => Ok(value),
+        Err(DeserializerError::ReaderError(error)) => Err(error.into()),
+        Err(error) => Err(member_fault(reader, member, error)),
+    }
+}
+
+fn fault<R: Read>(reader: &JsonStreamReader<R>, text: impl Display) -> DocumentError {
+    let (path, line) = place(reader);
+    DocumentError { place: format!("{}{line}", shortened(&path)), fault: text.to_string() }
+}
+
+/// A fault in the tile's member that was read last.
+fn member_fault<R: Read>(reader: &JsonStreamReader<R>, member: &str, text: impl Display) -> DocumentError {
+    let (path, line) = place(reader);
+    let end = path.rfind(&format!(".{member}")).unwrap_or(path.len());
+    DocumentError { place: format!("{}.{member}{line}", shortened(&path[..end])), fault: text.to_string() }
+}
+
+/// A fault in the tile whose last member was read.
+fn tile_fault<R: Read>(reader: &JsonStreamReader<R>, text: &str) -> DocumentError {
+    let (path, line) = place(reader);
+    let parent = path.rsplit_once('.').map_or(path.as_str(), |(parent, _)| parent);
+    DocumentError { place: format!("{}{line}", shortened(parent)), fault: text.to_owned() }
+}
+
+impl From<ReaderError> for DocumentError {
+    fn from(error: ReaderError) -> DocumentError {
+        let text = error.to_string();
+        let (fault, place) = text.rsplit_once(" at ").unwrap_or((text.as_str(), ""));
+        DocumentError { place: shortened(place), fault: format!("{fault}; expected JSON of a 3D Tiles tileset") }
+    }
+}

@@ -1,0 +1,177 @@
+//! 3D Tiles 1.0 and 1.1: explicit and implicit tilings, external tilesets, contents with their real sizes.
+//!
+//! A tile with a content that its children replace becomes a node with one representation; see DESIGN §1 for `ADD`.
+//! Bytes on the wire are those of the files. Bytes in memory and content bounds are read from the glTF inside.
+
+mod assemble;
+mod content;
+mod document;
+mod implicit;
+mod limits;
+mod mesh;
+mod resolve;
+mod subtree;
+mod volume;
+mod walk;
+
+#[cfg(test)]
+mod tests;
+
+use std::path::{Path, PathBuf};
+
+use foresight_scheduler::lod_tree::{LodTreeError, RepId};
+
+pub use content::{ContentError, ContentKind, ContentSummary, content_summary};
+pub use document::{Content, DocumentError, GltfUp, ImplicitTiling, Refine, Tile, TilesetDocument, parse_tileset};
+pub use implicit::ImplicitError;
+pub use limits::MAX_TILES;
+pub use subtree::{Bits, Subtree, SubtreeError, parse_subtree};
+pub use volume::Volume;
+
+use crate::manifest::{self, ManifestError};
+use crate::world::{World, WorldKind};
+
+/// Why a tileset cannot be opened.
+#[derive(Debug, thiserror::Error)]
+pub enum Tiles3dError {
+    /// A file that must be there cannot be read.
+    #[error("{}: {source}", file.display())]
+    Io {
+        /// The file.
+        file: PathBuf,
+        /// Why not.
+        source: std::io::Error,
+    },
+    /// A tileset document is at fault.
+    #[error("{}: {source}", file.display())]
+    Document {
+        /// The document.
+        file: PathBuf,
+        /// The fault.
+        source: DocumentError,
+    },
+    /// An implicit tiling is at fault.
+    #[error("{}: {source}", file.display())]
+    Implicit {
+        /// The document that declares it.
+        file: PathBuf,
+        /// The fault.
+        source: Box<ImplicitError>,
+    },
+    /// The manifest beside the tileset is at fault.
+    #[error("{}: {source}", file.display())]
+    Manifest {
+        /// The manifest.
+        file: PathBuf,
+        /// The fault.
+        source: ManifestError,
+    },
+    /// Tilesets that include each other.
+    #[error("external tilesets in a circle: {chain}; expected a tree")]
+    Cycle {
+        /// From the root to the repetition.
+        chain: String,
+    },
+    /// Too many tilesets inside each other.
+    #[error("{}: more than {} external tilesets inside each other; expected at most that", file.display(), limits::MAX_EXTERNAL_DEPTH)]
+    TooDeep {
+        /// The one that is too deep.
+        file: PathBuf,
+    },
+    /// An address that leaves the tileset's folder.
+    #[error("{}: the address {uri:?} leaves the tileset's folder; expected one inside it", file.display())]
+    Outside {
+        /// The document that holds it.
+        file: PathBuf,
+        /// The address.
+        uri: String,
+    },
+    /// A chain of transforms that overflows.
+    #[error("{}: {place}: the transforms down to this tile multiply beyond every number; expected finite ones", file.display())]
+    Transform {
+        /// The document.
+        file: PathBuf,
+        /// JSON path of the tile.
+        place: String,
+    },
+    /// More nodes than one world may have.
+    #[error("more than {limit} tiles; expected at most that")]
+    TooMany {
+        /// The most.
+        limit: usize,
+    },
+    /// Not one content is there.
+    #[error("{}: no content of any tile can be read; expected at least one{first}", file.display())]
+    Empty {
+        /// The root document.
+        file: PathBuf,
+        /// The first reason, if one is known.
+        first: String,
+    },
+    /// The tree cannot be built.
+    #[error("{}: {source}", file.display())]
+    Tree {
+        /// The root document.
+        file: PathBuf,
+        /// Why not.
+        source: LodTreeError,
+    },
+}
+
+/// Opens the world whose root tileset is `file`. A `manifest.json` of a mosaic beside it is followed.
+pub fn open(file: &Path) -> Result<World, Tiles3dError> {
+    Ok(load(file)?.world)
+}
+
+/// A world with the files that it was read from, relative to its folder, in order.
+pub(crate) struct Loaded {
+    pub(crate) world: World,
+    pub(crate) files: Vec<String>,
+    pub(crate) folder: PathBuf,
+    /// Geometric error of the root tile, metres.
+    pub(crate) root_error: f64,
+    /// Up axis of the root document.
+    pub(crate) gltf_up: GltfUp,
+    /// File of the first representation.
+    pub(crate) coarse_file: String,
+}
+
+pub(crate) fn load(file: &Path) -> Result<Loaded, Tiles3dError> {
+    let path = file.parent().map_or_else(PathBuf::new, Path::to_path_buf);
+    let unnamed = || std::io::Error::new(std::io::ErrorKind::InvalidInput, "not the name of a file");
+    let Some(name) = file.file_name().and_then(|name| name.to_str()) else {
+        return Err(Tiles3dError::Io { file: file.to_owned(), source: unnamed() });
+    };
+    let manifest_file = path.join("manifest.json");
+    let manifest = match std::fs::read(&manifest_file) {
+        // Only a mosaic's own manifest counts; any other file of that name is none of ours.
+        Ok(bytes) if bytes.windows(manifest::FORMAT.len()).any(|part| part == manifest::FORMAT.as_bytes()) => {
+            let parsed = manifest::parse(&bytes);
+            Some(parsed.map_err(|source| Tiles3dError::Manifest { file: manifest_file, source })?)
+        }
+        _ => None,
+    };
+    let kind = if manifest.is_some() { WorldKind::Mosaic } else { WorldKind::Tiles3d };
+    let folder = resolve::Folder { path, manifest };
+    let walked = walk::Walk::run(&folder, name)?;
+    let (root_error, gltf_up) = (walked.root_error, walked.gltf_up);
+    let (mut world, mut files) = assemble::assemble(&folder, name, walked)?;
+    world.kind = kind;
+    let stem = if name == "tileset.json" { named_folder(&folder.path) } else { None };
+    world.name = stem
+        .unwrap_or_else(|| Path::new(name).file_stem().map_or_else(String::new, |s| s.to_string_lossy().into_owned()));
+    files.sort();
+    files.dedup();
+    let coarse_file = match folder.resolve("", &world.uri(RepId(0))) {
+        resolve::Target::File { file, .. } => file,
+        resolve::Target::Elsewhere | resolve::Target::Outside => String::new(),
+    };
+    Ok(Loaded { world, files, folder: folder.path, root_error, gltf_up, coarse_file })
+}
+
+/// The name of a folder, found even if it was given as `.`.
+fn named_folder(path: &Path) -> Option<String> {
+    let whole = if path.as_os_str().is_empty() { Path::new(".") } else { path };
+    let whole = whole.canonicalize().ok()?;
+    Some(whole.file_name()?.to_string_lossy().into_owned())
+}

@@ -1,0 +1,321 @@
+//! A world that can be replayed or served: its LOD tree, where each representation is fetched, and what was found
+//! about it on the way in.
+
+use std::borrow::Cow;
+use std::fmt;
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use foresight_scheduler::lod_tree::{Aabb, LodTree, NodeId, RepId};
+use glam::DVec3;
+
+use crate::ground::Ground;
+use crate::uris::UriTable;
+
+/// A world.
+#[derive(Clone, Debug)]
+pub struct World {
+    /// What to call it: the name of its folder, of its file, or of the generator.
+    pub name: String,
+    /// What it was made from.
+    pub kind: WorldKind,
+    /// Nodes and representations.
+    pub tree: LodTree,
+    /// Where each representation is fetched, relative to the world's folder.
+    pub uris: UriTable,
+    /// Away from the ground, unit length, world space. On a planet: the vertical at the world's middle.
+    pub up: DVec3,
+    /// The height of the ground.
+    pub ground: Ground,
+    /// How world space lies on the Earth, if it does.
+    pub georeference: Option<Georeference>,
+    /// What was repaired, looks wrong, or was left out.
+    pub notes: Vec<Note>,
+}
+
+/// What a world was made from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum WorldKind {
+    /// A 3D Tiles tileset.
+    Tiles3d,
+    /// A 3D Tiles tileset instanced on a grid.
+    Mosaic,
+    /// A generated city.
+    City,
+}
+
+impl fmt::Display for WorldKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            WorldKind::Tiles3d => "3D Tiles",
+            WorldKind::Mosaic => "mosaic of 3D Tiles",
+            WorldKind::City => "generated city",
+        })
+    }
+}
+
+/// How world space lies on the Earth.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Georeference {
+    /// Earth-centred, Earth-fixed WGS 84 coordinates (EPSG:4978), metres.
+    Ecef,
+    /// A projected system by its EPSG code: x east, y north, z height, metres.
+    Epsg(u32),
+}
+
+/// What a note means for those who use the world.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Severity {
+    /// Something was wrong and was put right.
+    Repair,
+    /// Something is not what it says, or is easily misread.
+    Trap,
+    /// Something was left out.
+    Missing,
+}
+
+impl fmt::Display for Severity {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Severity::Repair => "repaired",
+            Severity::Trap => "mind",
+            Severity::Missing => "missing",
+        })
+    }
+}
+
+/// Something that was repaired, looks wrong, or was left out.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Note {
+    /// What it means.
+    pub severity: Severity,
+    /// The file it is about, relative to the world's folder.
+    pub file: String,
+    /// The place in the file: a JSON path or a byte offset; empty for the whole file.
+    pub place: String,
+    /// What was found, and what was done about it.
+    pub text: String,
+}
+
+impl fmt::Display for Note {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.severity, self.file)?;
+        if !self.place.is_empty() {
+            write!(f, " at {}", self.place)?;
+        }
+        write!(f, ": {}", self.text)
+    }
+}
+
+/// A world in figures.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Summary {
+    /// Nodes of the tree.
+    pub nodes: u64,
+    /// Nodes without children.
+    pub leaves: u64,
+    /// Representations.
+    pub representations: u64,
+    /// Nodes from the root to the deepest leaf, both counted.
+    pub depth: u32,
+    /// Sum of the bytes on the wire.
+    pub wire_bytes: u64,
+    /// Sum of the bytes in memory.
+    pub decoded_bytes: u64,
+    /// The root's bounds, metres.
+    pub bounds: Aabb,
+}
+
+/// Why there is no world to be had from a path.
+#[derive(Debug, thiserror::Error)]
+pub enum WorldError {
+    /// It cannot be read.
+    #[error("{}: {source}", file.display())]
+    Io {
+        /// What was to be read.
+        file: PathBuf,
+        /// Why not.
+        source: std::io::Error,
+    },
+    /// It is none of the kinds known.
+    #[error("{}: {found}; expected {EXPECTED}", file.display())]
+    Unrecognised {
+        /// What was looked at.
+        file: PathBuf,
+        /// What it looks like.
+        found: String,
+    },
+    /// It is of a kind that this build was made without.
+    #[error("{}: this build reads no {kind}", file.display())]
+    NotBuilt {
+        /// What was looked at.
+        file: PathBuf,
+        /// Its kind.
+        kind: &'static str,
+    },
+    /// It is a tileset with a fault.
+    #[cfg(feature = "tiles3d")]
+    #[error(transparent)]
+    Tiles3d(#[from] crate::import::tiles3d::Tiles3dError),
+    /// It is a generated city with a fault.
+    #[cfg(feature = "city")]
+    #[error(transparent)]
+    City(#[from] crate::generate::city::CityError),
+}
+
+const EXPECTED: &str = "a 3D Tiles tileset.json, a generated city.json, or a folder with one of them";
+
+/// Opens a world, recognised by content: a folder with a `tileset.json` or a generated `city.json`, or such a file.
+pub fn open(path: &Path) -> Result<World, WorldError> {
+    let metadata = std::fs::metadata(path).map_err(|source| WorldError::Io { file: path.to_owned(), source })?;
+    let file = if metadata.is_dir() {
+        let inside = ["tileset.json", "city.json"].map(|name| path.join(name));
+        let found = inside.into_iter().find(|file| file.is_file());
+        found.ok_or_else(|| WorldError::Unrecognised {
+            file: path.to_owned(),
+            found: "a folder with neither tileset.json nor city.json".to_owned(),
+        })?
+    } else {
+        path.to_owned()
+    };
+    let io = |source| WorldError::Io { file: file.clone(), source };
+    let mut head = Vec::new();
+    File::open(&file).map_err(io)?.take(HEAD_BYTES).read_to_end(&mut head).map_err(io)?;
+    match recognise(&head) {
+        Content::City => open_city(&file),
+        Content::Json => open_tileset(&file),
+        Content::Other(found) => Err(WorldError::Unrecognised { file, found }),
+    }
+}
+
+/// The world that there is without any file: a city of about 2 km × 2 km, z up, its ground at 0.
+#[cfg(feature = "city")]
+pub fn built_in_city() -> World {
+    let params = crate::generate::city::CityParams::default();
+    crate::generate::city::city(&params).expect("the built-in parameters are in range")
+}
+
+#[cfg(feature = "tiles3d")]
+fn open_tileset(file: &Path) -> Result<World, WorldError> {
+    Ok(crate::import::tiles3d::open(file)?)
+}
+
+#[cfg(not(feature = "tiles3d"))]
+fn open_tileset(file: &Path) -> Result<World, WorldError> {
+    Err(WorldError::NotBuilt { file: file.to_owned(), kind: "3D Tiles" })
+}
+
+#[cfg(feature = "city")]
+fn open_city(file: &Path) -> Result<World, WorldError> {
+    Ok(crate::generate::city::open(file)?)
+}
+
+#[cfg(not(feature = "city"))]
+fn open_city(file: &Path) -> Result<World, WorldError> {
+    Err(WorldError::NotBuilt { file: file.to_owned(), kind: "generated cities" })
+}
+
+/// How much of a file is looked at to recognise it.
+const HEAD_BYTES: u64 = 512;
+
+enum Content {
+    City,
+    Json,
+    Other(String),
+}
+
+fn recognise(head: &[u8]) -> Content {
+    let head = head.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(head).trim_ascii_start();
+    if head.is_empty() {
+        Content::Other("nothing in it".to_owned())
+    } else if head[0] != b'{' {
+        let start = String::from_utf8_lossy(&head[..head.len().min(24)]);
+        Content::Other(format!("it begins with {:?}", start.trim_end_matches(char::REPLACEMENT_CHARACTER)))
+    } else if head.windows(14).any(|part| part == b"foresight-city") {
+        Content::City
+    } else {
+        Content::Json
+    }
+}
+
+impl World {
+    /// Where a representation is fetched, relative to the world's folder.
+    pub fn uri(&self, rep: RepId) -> Cow<'_, str> {
+        self.uris.get(rep)
+    }
+
+    /// The height of the ground under a position, as a coordinate along [`World::up`], metres. `None` where the
+    /// position is not finite.
+    pub fn ground_height(&self, at: DVec3) -> Option<f64> {
+        self.ground.height(&self.tree, self.up, at)
+    }
+
+    /// The world in figures, from one pass over its arrays.
+    pub fn summary(&self) -> Summary {
+        let tree = &self.tree;
+        let mut depths: Vec<u32> = Vec::with_capacity(tree.nodes());
+        let (mut leaves, mut depth) = (0, 0);
+        for node in (0..tree.nodes() as u32).map(NodeId) {
+            let own = 1 + tree.parent(node).map_or(0, |parent| depths[parent.index()]);
+            depths.push(own);
+            depth = depth.max(own);
+            leaves += u64::from(tree.is_leaf(node));
+        }
+        let reps = || (0..tree.representations() as u32).map(RepId);
+        Summary {
+            nodes: tree.nodes() as u64,
+            leaves,
+            representations: tree.representations() as u64,
+            depth,
+            wire_bytes: reps().map(|rep| tree.wire_bytes(rep)).sum(),
+            decoded_bytes: reps().map(|rep| tree.decoded_bytes(rep)).sum(),
+            bounds: tree.bounds(tree.root()),
+        }
+    }
+
+    /// What the world is, as 32 bytes: the BLAKE3 hash over up, then every node and every representation in order of id, with
+    /// its address. The name, the notes and the machine do not enter.
+    pub fn hash(&self) -> blake3::Hash {
+        let tree = &self.tree;
+        let mut hasher = blake3::Hasher::new();
+        let mut buffer = Vec::with_capacity(1 << 16);
+        let mut flush = |buffer: &mut Vec<u8>, least: usize| {
+            if buffer.len() >= least {
+                hasher.update(buffer);
+                buffer.clear();
+            }
+        };
+        buffer.extend_from_slice(b"foresight-world-1");
+        put_vec3(&mut buffer, self.up);
+        buffer.extend_from_slice(&(tree.nodes() as u64).to_le_bytes());
+        buffer.extend_from_slice(&(tree.representations() as u64).to_le_bytes());
+        for node in (0..tree.nodes() as u32).map(NodeId) {
+            buffer.extend_from_slice(&tree.subtree_end(node).0.to_le_bytes());
+            put_vec3(&mut buffer, tree.centre(node));
+            put_vec3(&mut buffer, tree.half(node));
+            buffer.extend_from_slice(&tree.importance(node).to_bits().to_le_bytes());
+            flush(&mut buffer, 1 << 15);
+        }
+        for (rep, (prefix, tail)) in (0..tree.representations() as u32).map(RepId).zip(self.uris.parts()) {
+            buffer.extend_from_slice(&tree.node_of(rep).0.to_le_bytes());
+            buffer.extend_from_slice(&tree.wire_bytes(rep).to_le_bytes());
+            buffer.extend_from_slice(&tree.decoded_bytes(rep).to_le_bytes());
+            buffer.extend_from_slice(&tree.error(rep).to_bits().to_le_bytes());
+            buffer.extend_from_slice(&tree.prerequisite(rep).map_or(u32::MAX, |r| r.0).to_le_bytes());
+            buffer.push(tree.direction(rep).unwrap_or(u8::MAX));
+            buffer.extend_from_slice(&((prefix.len() + tail.len()) as u64).to_le_bytes());
+            buffer.extend_from_slice(prefix.as_bytes());
+            buffer.extend_from_slice(tail.as_bytes());
+            flush(&mut buffer, 1 << 15);
+        }
+        flush(&mut buffer, 0);
+        hasher.finalize()
+    }
+}
+
+fn put_vec3(buffer: &mut Vec<u8>, vector: DVec3) {
+    for value in vector.to_array() {
+        buffer.extend_from_slice(&value.to_bits().to_le_bytes());
+    }
+}
