@@ -8,7 +8,6 @@ pub mod policy;
 pub mod predict;
 pub mod scheduler;
 pub mod select;
-pub mod scheduler;
 pub mod state;
 pub mod transfer;
 pub mod units;

@@ -8,7 +8,6 @@ use crate::state::{ClientState, Status};
 use crate::transfer::TransferEstimate;
 use crate::units::Time;
 use crate::view::{View, ViewError};
-use std::collections::VecDeque;
 
 /// What the client shall do.
 #[derive(Clone, Debug, PartialEq)]
@@ -103,8 +102,6 @@ pub struct Scheduler<'a> {
     state: ClientState<'a>,
     policy: Box<dyn Policy + 'a>,
     latest: Time,
-    /// Discards that an arrival has set off, to be told before anything else.
-    pending_discards: VecDeque<RepId>,
 }
 
 impl<'a> Scheduler<'a> {
@@ -115,7 +112,6 @@ impl<'a> Scheduler<'a> {
             state: ClientState::new(tree, settings.budget, settings.refinement, link),
             policy,
             latest: Time::ZERO,
-            pending_discards: VecDeque::new(),
         }
     }
 
@@ -199,19 +195,6 @@ impl<'a> Scheduler<'a> {
     }
 
     /// `rep` can be shown from `now` on. A client decodes a representation after its prerequisite.
-    /// The last byte of `rep` came at `now`; it will be decoded. Ask [`Scheduler::next`] before decoding: discards that
-    /// waited for this arrival free the memory.
-    pub fn arrived(&mut self, rep: RepId, now: Time) -> Result<(), SchedulerError> {
-        self.expect(rep, "arrived", &[Status::InFlight])?;
-        self.pass(now)?;
-        if let Some(request) = self.state.end_request(rep, now) {
-            self.state.arrive(&request);
-            self.pending_discards.extend(&request.discard_on_arrival);
-        }
-        Ok(())
-    }
-
-    /// `rep` can be shown from `now` on.
     pub fn completed(&mut self, rep: RepId, now: Time) -> Result<(), SchedulerError> {
         self.expect(rep, "completed", &[Status::Arrived])?;
         self.pass(now)?;
@@ -221,7 +204,6 @@ impl<'a> Scheduler<'a> {
     }
 
     /// `rep` could not be fetched or decoded. What needs it can be shown no more and must be reported as failed too.
-    /// `rep` could not be fetched or decoded.
     pub fn failed(&mut self, rep: RepId, now: Time) -> Result<(), SchedulerError> {
         self.expect(rep, "failed", &[Status::InFlight, Status::Arrived])?;
         self.pass(now)?;
@@ -236,9 +218,6 @@ impl<'a> Scheduler<'a> {
     /// What to do now. Ask again after obeying, until the answer is `WaitUntil`.
     pub fn next(&mut self, now: Time) -> Result<Action, SchedulerError> {
         self.pass(now)?;
-        if let Some(rep) = self.pending_discards.pop_front() {
-            return Ok(Action::Discard(rep));
-        }
         let action = self.policy.decide(&self.state, now);
         match &action {
             Action::Fetch { rep, discard_on_arrival } => {
@@ -250,9 +229,6 @@ impl<'a> Scheduler<'a> {
                 for (i, &doomed) in discard_on_arrival.iter().enumerate() {
                     let twice = discard_on_arrival[..i].contains(&doomed);
                     if self.state.status(doomed) != Status::Resident || self.state.is_needed(doomed) || twice {
-                let mut handed_over = 0;
-                for (i, &doomed) in discard_on_arrival.iter().enumerate() {
-                    if self.state.status(doomed) != Status::Resident || discard_on_arrival[..i].contains(&doomed) {
                         return Err(self.refusal("a discard on arrival", doomed));
                     }
                     handed_over += self.state.tree.decoded_bytes(doomed);
@@ -273,7 +249,6 @@ impl<'a> Scheduler<'a> {
             }
             Action::Discard(rep) => {
                 if self.state.status(*rep) != Status::Resident || self.state.is_needed(*rep) {
-                if self.state.status(*rep) != Status::Resident {
                     return Err(self.refusal("a discard", *rep));
                 }
                 self.state.discard(*rep);

@@ -158,11 +158,6 @@ impl<'a> ClientState<'a> {
         self.used += reserved;
         self.status[rep.index()] = Status::InFlight;
         self.plan(rep);
-            self.planned.remove(self.tree, doomed);
-        }
-        self.used += reserved;
-        self.status[rep.index()] = Status::InFlight;
-        self.planned.insert(self.tree, rep);
         self.requests.push(Request { rep, requested: now, responded: None, discard_on_arrival, reserved });
     }
 
@@ -211,10 +206,6 @@ impl<'a> ClientState<'a> {
         for &spared in &request.discard_on_arrival {
             self.status[spared.index()] = Status::Resident;
             self.plan(spared);
-        self.planned.remove(self.tree, request.rep);
-        for &spared in &request.discard_on_arrival {
-            self.status[spared.index()] = Status::Resident;
-            self.planned.insert(self.tree, spared);
         }
     }
 
@@ -229,7 +220,6 @@ impl<'a> ClientState<'a> {
         self.used -= self.request_bytes(rep);
         self.status[rep.index()] = Status::Absent;
         self.unplan(rep);
-        self.planned.remove(self.tree, rep);
     }
 
     /// Puts a representation there from the start (`--warm`).
@@ -238,7 +228,6 @@ impl<'a> ClientState<'a> {
         self.status[rep.index()] = Status::Resident;
         self.resident.insert(self.tree, rep);
         self.plan(rep);
-        self.planned.insert(self.tree, rep);
     }
 
     pub(crate) fn discard(&mut self, rep: RepId) {
@@ -246,7 +235,6 @@ impl<'a> ClientState<'a> {
         self.status[rep.index()] = Status::Absent;
         self.resident.remove(self.tree, rep);
         self.unplan(rep);
-        self.planned.remove(self.tree, rep);
     }
 
     /// A copy of the planned set that a policy may alter to weigh its choices.

@@ -4,7 +4,10 @@ use crate::bound::{self, CheapestBeneath, FrameBound, Limits};
 use crate::client::ClientSettings;
 use crate::flight::{Flight, TICKS_PER_FRAME, tick_time};
 use crate::link::LinkTrace;
-use crate::outcome::{Arrival, Comparison, Inputs, Interval, Intervals, PolicyOutcome, PolicySeries, Pressure, SCHEMA_VERSION, Series, UpperBound};
+use crate::outcome::{
+    Arrival, Comparison, Inputs, Interval, Intervals, PolicyOutcome, PolicySeries, Pressure, SCHEMA_VERSION, Series,
+    UpperBound,
+};
 use crate::policies::PolicySpec;
 use crate::pressure::Needs;
 use crate::replay::{ReplayError, Run, Stage, replay};
@@ -63,7 +66,9 @@ pub struct Plan<'a> {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum CompareError {
     /// Nothing fits into memory.
-    #[error("the memory budget is {budget} bytes, but the smallest request of this world takes {smallest}; expected at least that")]
+    #[error(
+        "the memory budget is {budget} bytes, but the smallest request of this world takes {smallest}; expected at least that"
+    )]
     Memory {
         /// As set.
         budget: u64,
@@ -159,11 +164,8 @@ pub fn compare(
 
     let bounds = if plan.without_bound { Vec::new() } else { frame_bounds(plan, &cuts, budget, &preloaded) };
     let nonempty = cuts.iter().filter(|c| c.total_weight > 0.0).count();
-    let delivered: Vec<f64> = plan
-        .starts
-        .iter()
-        .map(|&s| plan.link.bytes_deliverable(s, s + plan.flight.duration()) as f64)
-        .collect();
+    let delivered: Vec<f64> =
+        plan.starts.iter().map(|&s| plan.link.bytes_deliverable(s, s + plan.flight.duration()) as f64).collect();
     let duration_s = plan.flight.duration().secs();
     let pressure = Pressure {
         lambda: needs.newly_needed_bytes(plan.tree, budget) as f64 / (duration_s * plan.link.mean_rate()),
@@ -220,13 +222,18 @@ fn smallest_closure(tree: &LodTree) -> u64 {
 fn first_need(tree: &LodTree, needs: &Needs, budget: u64) -> Vec<RepId> {
     let mut used = 0;
     let first = needs.frames.iter().find(|f| !f.is_empty());
-    first.into_iter().flatten().copied().filter(|&rep| {
-        let fits = used + tree.decoded_bytes(rep) <= budget;
-        if fits {
-            used += tree.decoded_bytes(rep);
-        }
-        fits
-    }).collect()
+    first
+        .into_iter()
+        .flatten()
+        .copied()
+        .filter(|&rep| {
+            let fits = used + tree.decoded_bytes(rep) <= budget;
+            if fits {
+                used += tree.decoded_bytes(rep);
+            }
+            fits
+        })
+        .collect()
 }
 
 /// Of each policy's variants in hindsight, keeps the one with the least deficit, under a name that says so.

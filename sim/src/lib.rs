@@ -2,12 +2,14 @@
 
 pub mod bound;
 pub mod client;
+pub mod compare;
 pub mod flight;
 pub mod link;
 pub mod outcome;
+pub mod path;
+pub mod policies;
 pub mod pressure;
 pub mod replay;
 pub mod report;
 pub mod stopwatch;
-pub mod path;
 mod text_lines;

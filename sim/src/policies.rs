@@ -102,7 +102,8 @@ impl PolicySpec {
         let expected = if has_target { "target or parallel" } else { OBJECTIVE_OPTIONS };
         let unknown = || PolicySpecError::Option { policy, option: option.to_owned(), expected };
         let (key, value) = option.split_once('=').ok_or_else(unknown)?;
-        let wrong = |expected| PolicySpecError::Value { policy, key: key.to_owned(), value: value.to_owned(), expected };
+        let wrong =
+            |expected| PolicySpecError::Value { policy, key: key.to_owned(), value: value.to_owned(), expected };
         let number = |low: f64, high: f64, expected| {
             value.parse::<f64>().ok().filter(|v| (low..=high).contains(v)).ok_or_else(|| wrong(expected))
         };
@@ -173,9 +174,9 @@ impl PolicySpec {
         match self.name {
             "lookahead" => {
                 let base = LookaheadSettings::default();
-                let parallel = self.parallel.unwrap_or(base.max_downloads);
+                let parallel = self.parallel.unwrap_or(base.max_requests);
                 let settings =
-                    LookaheadSettings { error_target_px: self.error_target_px, max_downloads: parallel, ..base };
+                    LookaheadSettings { error_target_px: self.error_target_px, max_requests: parallel, ..base };
                 Box::new(Lookahead::new(tree, settings))
             }
             "3d-tiles-renderer" => {
