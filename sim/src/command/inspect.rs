@@ -1,0 +1,175 @@
+//! `inspect`: what files contain, and the pressure to expect when they are replayed together.
+
+use super::inputs::{self, PathArgs};
+use anyhow::bail;
+use clap::Args;
+use foresight_index::world::{self, World};
+use foresight_scheduler::benefit::cut::CutSettings;
+use foresight_sim::link::{self, LinkTrace};
+use foresight_sim::path::CameraPath;
+use foresight_sim::pressure::Needs;
+use std::path::Path;
+
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  foresight-sim inspect tiles/\n  foresight-sim inspect mosaic16 walk.txt lte.down")]
+pub(crate) struct InspectArgs {
+    /// Worlds, paths and links, told apart by their content; given a world and a path together, also the pressure
+    #[arg(required = true, value_name = "FILE")]
+    files: Vec<String>,
+    #[command(flatten)]
+    path_args: PathArgs,
+}
+
+enum Input {
+    World(Box<World>),
+    Path(CameraPath),
+    Link(LinkTrace),
+}
+
+/// Tries the three kinds; if none fits, says why each does not.
+fn recognise(file: &str, args: &PathArgs) -> anyhow::Result<Input> {
+    let generated = ["constant:", "steady", "turn"].iter().any(|p| file.starts_with(p));
+    if !generated && !Path::new(file.split(',').next().unwrap_or(file)).exists() {
+        bail!("{file}: no such file or directory; expected a world, a path or a link");
+    }
+    let path = Path::new(file);
+    if path.is_dir() || path.extension().is_some_and(|e| e == "json") {
+        return Ok(Input::World(Box::new(world::open(path)?)));
+    }
+    let as_path = inputs::open_path(Some(file), args);
+    let as_link = || link::parse::from_specification(file);
+    match as_path {
+        Ok(path) => Ok(Input::Path(path)),
+        Err(path_error) => match as_link() {
+            Ok(link) => Ok(Input::Link(link)),
+            Err(link_error) => match world::open(path) {
+                Ok(world) => Ok(Input::World(Box::new(world))),
+                Err(_) => bail!("{file} is neither a path ({path_error:#}) nor a link ({link_error})"),
+            },
+        },
+    }
+}
+
+pub(crate) fn run(args: &InspectArgs) -> anyhow::Result<()> {
+    let (mut worlds, mut paths, mut links) = (Vec::new(), Vec::new(), Vec::new());
+    for file in &args.files {
+        match recognise(file, &args.path_args)? {
+            Input::World(world) => {
+                describe_world(file, &world);
+                worlds.push(world);
+            }
+            Input::Path(path) => {
+                describe_path(file, &path);
+                paths.push(path);
+            }
+            Input::Link(link) => {
+                describe_link(file, &link);
+                links.push(link);
+            }
+        }
+    }
+    for world in &worlds {
+        for path in &paths {
+            pressure(world, path, &links, &args.path_args)?;
+        }
+    }
+    Ok(())
+}
+
+fn megabytes(bytes: u64) -> f64 {
+    bytes as f64 / 1e6
+}
+
+fn describe_world(file: &str, world: &World) {
+    let summary = world.summary();
+    let size = summary.bounds.max - summary.bounds.min;
+    println!("{file}: world, {}", world.kind);
+    println!(
+        "  {} representations on {} nodes, {} of them leaves; depth {}",
+        summary.representations, summary.nodes, summary.leaves, summary.depth
+    );
+    println!(
+        "  {:.2} MB on the wire, {:.2} MB decoded with mips; {:.1} MB of memory for the tree ({:.1} bytes a representation)",
+        megabytes(summary.wire_bytes),
+        megabytes(summary.decoded_bytes),
+        megabytes(world.tree.heap_bytes() as u64),
+        world.tree.heap_bytes() as f64 / summary.representations.max(1) as f64
+    );
+    println!("  extent {:.2} × {:.2} × {:.2} m, up {:.3}", size.x, size.y, size.z, world.up);
+    for note in &world.notes {
+        println!("  {note}");
+    }
+}
+
+fn describe_path(file: &str, path: &CameraPath) {
+    let poses = path.poses();
+    let mut length = 0.0;
+    let (mut low, mut high) = (poses[0].position, poses[0].position);
+    for pair in poses.windows(2) {
+        length += pair[0].position.distance(pair[1].position);
+        low = low.min(pair[1].position);
+        high = high.max(pair[1].position);
+    }
+    let duration = path.duration();
+    println!("{file}: path");
+    println!(
+        "  {} poses over {duration:.2} s ({:.1} Hz); {length:.1} m long, {:.2} m/s on average",
+        poses.len(),
+        (poses.len() - 1) as f64 / duration,
+        length / duration
+    );
+    println!("  extent {:.2} m, up {:.3}", high - low, path.up());
+    for note in path.notes() {
+        println!("  {note}");
+    }
+}
+
+fn describe_link(file: &str, link: &LinkTrace) {
+    println!("{file}: link");
+    println!(
+        "  {:.3} Mbit/s on average over {:.2} s, then it repeats; round trip {:.1} ms",
+        link.mean_rate() * 8e-6,
+        link.period().secs(),
+        link.rtt().secs() * 1e3
+    );
+    for note in link.notes() {
+        println!("  {note}");
+    }
+}
+
+fn pressure(world: &World, path: &CameraPath, links: &[LinkTrace], args: &PathArgs) -> anyhow::Result<()> {
+    let placed = inputs::place(path, world, false, args)?;
+    let cuts = placed.flight.cuts(&world.tree, &CutSettings::default());
+    let needs = Needs::new(&world.tree, &cuts);
+    let seen = cuts.iter().filter(|c| c.total_weight > 0.0).count();
+    let duration = placed.flight.duration();
+    println!("{} over {} ({}, {:.1} s)", path.name(), world.name, placed.place, duration.secs());
+    println!("  something is in view in {:.1} % of the frames", 100.0 * seen as f64 / cuts.len() as f64);
+    println!(
+        "  needs at 16 px: {:.2} MB on the wire in all; the largest view {:.2} MB decoded (μ = 1)",
+        megabytes(needs.union_bytes),
+        megabytes(needs.largest_bytes)
+    );
+    for link in links {
+        let delivered = link.bytes_deliverable(Default::default(), duration) as f64;
+        let rho = needs.union_bytes as f64 / delivered.max(1.0);
+        let lambda = |mu: f64| {
+            let budget = (mu * needs.largest_bytes as f64) as u64;
+            needs.newly_needed_bytes(&world.tree, budget) as f64 / (duration.secs() * link.mean_rate())
+        };
+        let word = match rho {
+            r if r > 2.0 => "starved",
+            r if r < 0.1 => "policies cannot differ",
+            r if r < 0.5 => "ample",
+            _ => "matched",
+        };
+        println!(
+            "  on {}: ρ = {rho:.3} ({word}); λ = {:.3}, {:.3}, {:.3} at μ = ¼, ½, 1",
+            link.name(),
+            lambda(0.25),
+            lambda(0.5),
+            lambda(1.0)
+        );
+    }
+    Ok(())
+}

@@ -1,0 +1,42 @@
+//! The command line: parsing, and one module a command.
+
+mod generate;
+mod inputs;
+mod inspect;
+mod replay;
+
+use clap::{Parser, Subcommand};
+
+/// Replays recorded camera paths over large 3D worlds and recorded links, and compares what prefetch policies make of
+/// them. Without a command: the built-in city, flight and link, with all policies, and a report in ./report.
+#[derive(Debug, Parser)]
+#[command(
+    name = "foresight-sim",
+    version,
+    after_help = "Examples:\n  foresight-sim\n  foresight-sim replay --world tiles/ --path walk.txt --link lte.down --memory 256MiB --report out\n  \
+                  foresight-sim inspect tiles/ walk.txt lte.down\n  foresight-sim generate mosaic --from tiles/ --grid 16 --out mosaic16"
+)]
+pub(crate) struct Cli {
+    #[command(subcommand)]
+    command: Option<Command>,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Replays a path over a world and a link with one or more policies.
+    Replay(Box<replay::ReplayArgs>),
+    /// Tells what a world, path or link contains, its traps, and the pressure to expect.
+    Inspect(inspect::InspectArgs),
+    /// Makes worlds of any size.
+    Generate(generate::GenerateArgs),
+}
+
+/// Runs the command.
+pub(crate) fn run(cli: Cli) -> anyhow::Result<()> {
+    match cli.command {
+        None => replay::run(replay::ReplayArgs::built_in()),
+        Some(Command::Replay(args)) => replay::run(*args),
+        Some(Command::Inspect(args)) => inspect::run(&args),
+        Some(Command::Generate(args)) => generate::run(args),
+    }
+}

@@ -1,0 +1,250 @@
+//! `replay`: compares policies.
+
+use super::inputs::{self, PathArgs};
+use anyhow::{Context, bail};
+use clap::Args;
+use foresight_scheduler::benefit::coverage::Refinement;
+use foresight_scheduler::benefit::cut::CutSettings;
+use foresight_scheduler::scheduler::SchedulerSettings;
+use foresight_sim::client::ClientSettings;
+use foresight_sim::compare::{Memory, Plan, compare, starts};
+use foresight_sim::outcome::Inputs;
+use foresight_sim::policies::PolicySpec;
+use foresight_sim::report;
+use std::io::{IsTerminal, Write};
+use std::path::PathBuf;
+
+/// Error targets tried for the best in hindsight, pixels.
+const HINDSIGHT_TARGETS_PX: [f64; 4] = [1.0, 2.0, 4.0, 8.0];
+
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Examples:\n  foresight-sim replay --json\n  foresight-sim replay --world mosaic16 --path walk.txt --link lte.down --memory mu:0.25 --starts 10\n  \
+    foresight-sim replay --policy foresight,foresight:alpha=1:predictor=true-path,clairvoyant\n  foresight-sim replay --error-target best --link constant:5Mbit,40ms\n\n\
+    A policy takes options after colons:\n  foresight, added-benefit, clairvoyant: alpha, predictor (constant-velocity, constant-turn, kalman, mixture, known-path,\n    \
+    true-path), discards (planned, lru), arrival (on, off), cover (on, off), horizon, reuse, hysteresis, attenuation, samples,\n    \
+    opening, falloff, tolerance, slack, request-cost\n  lookahead, 3d-tiles-renderer: target (pixels), parallel"
+)]
+pub(crate) struct ReplayArgs {
+    /// A world directory, tileset.json or generated city; the built-in city if not given
+    #[arg(long, value_name = "WORLD")]
+    world: Option<String>,
+    /// A TUM or EyeNavGS recording, or steady, turn (with :speed=5,duration=60); the built-in flight if not given
+    #[arg(long, value_name = "PATH")]
+    path: Option<String>,
+    /// A Mahimahi trace, `seconds Mbit/s` lines, or constant:5Mbit,40ms; each with ,scale= ,start= ,rtt=
+    #[arg(long, value_name = "LINK")]
+    link: Option<String>,
+    /// Policies separated by commas, or all
+    #[arg(long, default_value = "all", value_name = "NAMES")]
+    policy: String,
+    /// Memory budget: bytes, 256MiB, 1GB, or mu:0.5 for half of the largest need
+    #[arg(long, default_value = "256MiB", value_name = "SIZE", value_parser = memory)]
+    memory: Memory,
+    /// Trust in the prediction, 0 to 1
+    #[arg(long, default_value_t = 0.7)]
+    alpha: f64,
+    /// Pixels of error that lookahead and 3d-tiles-renderer aim at (they ship with 16); best adds each at its best of
+    /// 1, 2, 4 and 8 px in hindsight
+    #[arg(long, value_name = "PX|best")]
+    error_target: Option<String>,
+    /// When children count: partial (drawn beside their parent) or atomic (all or none)
+    #[arg(long, default_value = "partial", value_name = "KIND", value_parser = refinement)]
+    refinement: Refinement,
+    #[command(flatten)]
+    path_args: PathArgs,
+    /// Start with what the first view needs resident
+    #[arg(long)]
+    warm: bool,
+    /// Repeat over this many seeded offsets in the link, and give 95 % intervals
+    #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    starts: u32,
+    /// Seed of the offsets
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Decoded bytes per second that each of two workers decodes
+    #[arg(long, default_value_t = 200e6, value_name = "BYTES/S")]
+    decode_rate: f64,
+    /// Decoded bytes uploaded per 1/60 s
+    #[arg(long, default_value_t = 8 << 20, value_name = "BYTES")]
+    upload_budget: u64,
+    /// Opening angle of the cuts by which frames are judged; smaller is more accurate and slower
+    #[arg(long, default_value_t = 0.15, value_name = "THETA")]
+    opening: f64,
+    /// Leave the upper bound out
+    #[arg(long)]
+    no_bound: bool,
+    /// Write report.html and comparison.json into this directory
+    #[arg(long, value_name = "DIR")]
+    report: Option<PathBuf>,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+    /// Threads; as many as there are processors if not given
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
+    threads: Option<u32>,
+}
+
+impl ReplayArgs {
+    /// What `foresight-sim` alone replays.
+    pub(crate) fn built_in() -> ReplayArgs {
+        ReplayArgs {
+            world: None,
+            path: None,
+            link: None,
+            policy: "all".to_owned(),
+            memory: Memory::Bytes(256 << 20),
+            alpha: 0.7,
+            error_target: None,
+            refinement: Refinement::Partial,
+            path_args: PathArgs::default(),
+            warm: false,
+            starts: 1,
+            seed: 1,
+            decode_rate: 200e6,
+            upload_budget: 8 << 20,
+            opening: 0.15,
+            no_bound: false,
+            report: Some(PathBuf::from("report")),
+            json: false,
+            threads: None,
+        }
+    }
+}
+
+fn memory(text: &str) -> Result<Memory, String> {
+    let expected = || format!("`{text}`; expected bytes such as 268435456, 256MiB, 1GB, or mu:0.5");
+    if let Some(mu) = text.strip_prefix("mu:") {
+        let mu = mu.parse::<f64>().ok().filter(|mu| *mu > 0.0 && *mu <= 1e6).ok_or_else(expected)?;
+        return Ok(Memory::OfLargestNeed(mu));
+    }
+    let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
+    let unit = match &text[digits.len()..] {
+        "" | "B" => 1.0,
+        "kB" | "KB" => 1e3,
+        "MB" => 1e6,
+        "GB" => 1e9,
+        "KiB" => 1024.0,
+        "MiB" => 1_048_576.0,
+        "GiB" => 1_073_741_824.0,
+        _ => return Err(expected()),
+    };
+    let bytes =
+        digits.parse::<f64>().ok().map(|n| n * unit).filter(|b| *b >= 1.0 && *b <= 1e15).ok_or_else(expected)?;
+    Ok(Memory::Bytes(bytes as u64))
+}
+
+fn refinement(text: &str) -> Result<Refinement, String> {
+    match text {
+        "partial" => Ok(Refinement::Partial),
+        "atomic" => Ok(Refinement::Atomic),
+        _ => Err(format!("`{text}`; expected partial or atomic")),
+    }
+}
+
+pub(crate) fn run(args: ReplayArgs) -> anyhow::Result<()> {
+    if !(0.0..=1.0).contains(&args.alpha) {
+        bail!("--alpha {}; expected a number from 0 to 1", args.alpha);
+    }
+    if !(args.opening >= 0.0 && args.opening <= 2.0) {
+        bail!("--opening {}; expected an angle from 0 to 2", args.opening);
+    }
+    if !(args.decode_rate >= 1.0 && args.decode_rate.is_finite() && args.upload_budget > 0) {
+        bail!(
+            "--decode-rate {} and --upload-budget {}; expected at least 1 byte each",
+            args.decode_rate,
+            args.upload_budget
+        );
+    }
+    if let Some(threads) = args.threads {
+        rayon::ThreadPoolBuilder::new().num_threads(threads as usize).build_global().context("starting threads")?;
+    }
+    let (target, hindsight) = match args.error_target.as_deref() {
+        None => (16.0, Vec::new()),
+        Some("best") => (16.0, HINDSIGHT_TARGETS_PX.to_vec()),
+        Some(px) => {
+            let target = px.parse::<f64>().ok().filter(|t| *t >= 0.01 && *t <= 1e4);
+            (
+                target.with_context(|| format!("--error-target {px}; expected pixels from 0.01 to 10000, or best"))?,
+                Vec::new(),
+            )
+        }
+    };
+    let policies = PolicySpec::parse_list(&args.policy, args.alpha, target)?;
+    // Links and paths are small: what is wrong with them is said before a world is loaded.
+    let link = inputs::open_link(args.link.as_deref())?;
+    let path = inputs::open_path(args.path.as_deref(), &args.path_args)?;
+    let (world_name, world) = inputs::open_world(args.world.as_deref())?;
+    let as_is = args.world.is_none() && args.path.is_none();
+    let placed = inputs::place(&path, &world, as_is, &args.path_args)?;
+
+    let base = SchedulerSettings::with_budget(0);
+    let plan = Plan {
+        tree: &world.tree,
+        up: world.up,
+        flight: &placed.flight,
+        link: &link,
+        starts: starts(&link, args.starts as usize, args.seed),
+        policies,
+        hindsight_targets: hindsight,
+        memory: args.memory,
+        scheduler: SchedulerSettings { refinement: args.refinement, ..base },
+        client: ClientSettings {
+            decode_rate: args.decode_rate,
+            upload_bytes_per_tick: args.upload_budget,
+            ..ClientSettings::default()
+        },
+        judging: CutSettings { opening: args.opening, ..CutSettings::default() },
+        warm: args.warm,
+        without_bound: args.no_bound,
+    };
+    let view = placed.flight.views[0];
+    let inputs = Inputs {
+        world: world_name,
+        world_hash: world.hash().to_hex().to_string(),
+        path: args.path.clone().unwrap_or_else(|| path.name().to_owned()),
+        link: args.link.clone().unwrap_or_else(|| link.name().to_owned()),
+        place: placed.place,
+        alpha: args.alpha,
+        worst_case: "union".to_owned(),
+        refinement: format!("{:?}", args.refinement).to_lowercase(),
+        seed: args.seed,
+        viewport: view.viewport,
+        fov_y_deg: view.fov_y.to_degrees(),
+        ..Inputs::default()
+    };
+    let shows_progress = std::io::stderr().is_terminal() && !args.json;
+    let mut comparison = compare(&plan, inputs, |done, all| {
+        if shows_progress {
+            eprint!("\r{done} of {all} replays");
+        }
+    })?;
+    if shows_progress {
+        eprint!("\r\x1b[K");
+    }
+    comparison.warnings.extend(inputs::world_notes(&world, 5));
+    comparison.warnings.extend(path.notes().iter().map(|n| format!("path: {n}")));
+    comparison.warnings.extend(link.notes().iter().map(|n| format!("link: {n}")));
+
+    let mut out = std::io::stdout().lock();
+    if args.json {
+        serde_json::to_writer(&mut out, &comparison)?;
+        writeln!(out)?;
+    } else {
+        let width = terminal_width();
+        writeln!(out, "{}", report::table(&comparison, width))?;
+    }
+    if let Some(dir) = &args.report {
+        let command = std::env::args().collect::<Vec<_>>().join(" ");
+        let file = report::write_with_command(&comparison, dir, &command)?;
+        if !args.json {
+            writeln!(out, "report: {}", file.display())?;
+        }
+    }
+    Ok(())
+}
+
+/// Columns of the terminal, by COLUMNS; 120 where nothing says.
+fn terminal_width() -> usize {
+    std::env::var("COLUMNS").ok().and_then(|c| c.parse().ok()).filter(|c| (40..=1000).contains(c)).unwrap_or(120)
+}
