@@ -3,7 +3,7 @@
 use foresight_scheduler::benefit::accuracy::{HALF_ACCURACY_PX, RIVALS_TARGET_PX};
 use foresight_scheduler::benefit::cut::Cut;
 use foresight_scheduler::lod_tree::{LodTree, NodeId, RepId};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::VecDeque;
 
 /// Calls `need` with every representation of the coarsest set that shows each leaf of the cut at no more than 16 px of
 /// error, prerequisites included; where nothing is good enough, with the best there is. May repeat itself.
@@ -95,31 +95,30 @@ impl Needs {
     /// Wire bytes that become needed after the first frame when a memory of `budget` decoded bytes forgets the least
     /// recently needed first, re-fetches included.
     pub fn newly_needed_bytes(&self, tree: &LodTree, budget: u64) -> u64 {
-        let mut last: BTreeMap<RepId, u32> = BTreeMap::new();
-        let mut order: BTreeSet<(u32, RepId)> = BTreeSet::new();
+        // Touches in order of time; only the latest of each representation is not stale.
+        let mut order: VecDeque<(u32, RepId)> = VecDeque::new();
+        let mut last = vec![u32::MAX; tree.representations()];
         let (mut held, mut fetched) = (0u64, 0u64);
         for (frame, needed) in self.frames.iter().enumerate() {
             let frame = frame as u32;
             for &rep in needed {
-                match last.insert(rep, frame) {
-                    Some(before) => {
-                        order.remove(&(before, rep));
-                    }
-                    None => {
-                        held += tree.decoded_bytes(rep);
-                        if frame > 0 {
-                            fetched += tree.wire_bytes(rep);
-                        }
+                if last[rep.index()] == u32::MAX {
+                    held += tree.decoded_bytes(rep);
+                    if frame > 0 {
+                        fetched += tree.wire_bytes(rep);
                     }
                 }
-                order.insert((frame, rep));
+                last[rep.index()] = frame;
+                order.push_back((frame, rep));
             }
             while held > budget {
                 // What this frame needs is not forgotten in it, even if it alone exceeds the budget.
-                let Some(&(oldest, rep)) = order.first().filter(|(seen, _)| *seen < frame) else { break };
-                order.remove(&(oldest, rep));
-                last.remove(&rep);
-                held -= tree.decoded_bytes(rep);
+                let Some(&(touched, rep)) = order.front().filter(|(touched, _)| *touched < frame) else { break };
+                order.pop_front();
+                if last[rep.index()] == touched {
+                    last[rep.index()] = u32::MAX;
+                    held -= tree.decoded_bytes(rep);
+                }
             }
         }
         fetched
