@@ -41,20 +41,19 @@ impl TilesRenderer {
         loop {
             if let Some(id) = entering.take() {
                 self.visit(traversal, id);
-                let visit = &mut self.visits[id as usize];
-                if visit.in_frustum {
-                    let tile = &self.tiles[id as usize];
-                    let meets_target = visit.error <= traversal.target;
-                    if !meets_target || traversal.passes_through(tile) {
-                        self.descents.push(Descent {
-                            tile: id,
-                            next_child: id + 1,
-                            any_child_in_frustum: false,
-                            any_child_used: false,
-                        });
-                    } else {
+                let (tile, visit) = (&self.tiles[id as usize], &mut self.visits[id as usize]);
+                if visit.in_frustum && (visit.error > traversal.target || traversal.passes_through(tile)) {
+                    self.descents.push(Descent {
+                        tile: id,
+                        next_child: id + 1,
+                        any_child_in_frustum: false,
+                        any_child_used: false,
+                    });
+                } else {
+                    if visit.in_frustum {
                         visit.used = self.frame;
                     }
+                    self.tell_parent(id);
                 }
             }
             let Some(descent) = self.descents.last_mut() else { return };
