@@ -93,6 +93,8 @@ struct Visit {
     kept: u32,
     active: u32,
     in_frustum: bool,
+    /// The whole box lies in the frustum.
+    all_inside: bool,
     cached: bool,
     failed: bool,
     finished: bool,
@@ -244,7 +246,7 @@ impl TilesRenderer {
         let room = self.settings.max_items.saturating_sub(self.cached.len());
         if self.queue.len() > room {
             // The queue is admitted in the order in which it would be unloaded last.
-            self.queue.sort_unstable_by(|a, b| a.depth.cmp(&b.depth).then(by_priority(a, b)));
+            self.queue.select_nth_unstable_by(room, |a, b| a.depth.cmp(&b.depth).then(by_priority(a, b)));
             self.queue.truncate(room);
         }
     }
