@@ -1,5 +1,6 @@
 //! A client behind a link of constant rate, and worlds to try it on.
 
+use foresight_scheduler::benefit::coverage::Refinement;
 use foresight_scheduler::benefit::frustum::{Frustum, Side};
 use foresight_scheduler::lod_tree::{Aabb, LodTree, LodTreeBuilder, NodeId, RepId, Representation};
 use foresight_scheduler::policy::Policy;
@@ -112,8 +113,28 @@ impl<'a> Session<'a> {
         policy: Box<dyn Policy + 'a>,
         bytes_per_tick: u64,
     ) -> Session<'a> {
+        Session::with_settings(tree, SchedulerSettings::with_budget(budget), policy, bytes_per_tick)
+    }
+
+    /// Where children replace their parent together.
+    pub(crate) fn atomic(
+        tree: &'a LodTree,
+        budget: u64,
+        policy: Box<dyn Policy + 'a>,
+        bytes_per_tick: u64,
+    ) -> Session<'a> {
+        let settings = SchedulerSettings { refinement: Refinement::Atomic, ..SchedulerSettings::with_budget(budget) };
+        Session::with_settings(tree, settings, policy, bytes_per_tick)
+    }
+
+    fn with_settings(
+        tree: &'a LodTree,
+        settings: SchedulerSettings,
+        policy: Box<dyn Policy + 'a>,
+        bytes_per_tick: u64,
+    ) -> Session<'a> {
         Session {
-            scheduler: Scheduler::new(tree, SchedulerSettings::with_budget(budget), policy),
+            scheduler: Scheduler::new(tree, settings, policy),
             now: Time::ZERO,
             actions: Vec::new(),
             bytes_per_tick,
