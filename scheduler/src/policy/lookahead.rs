@@ -102,6 +102,13 @@ impl Queue {
     fn pass(&mut self) {
         self.next += 1;
     }
+
+    /// Drops what was passed, and of the rest what does not fulfil the condition.
+    fn keep(&mut self, condition: impl Fn(&Entry) -> bool) {
+        self.entries.drain(..self.next);
+        self.entries.retain(condition);
+        (self.next, self.sorted) = (0, 0);
+    }
 }
 
 /// Where the queue was last made.
@@ -359,20 +366,22 @@ impl Lookahead {
         }
     }
 
-    /// Plans discards that make room for `bytes`; `false` if that is impossible.
-    fn make_room(&mut self, state: &ClientState, bytes: u64) -> bool {
+    /// Lists what may be discarded; returns its bytes.
+    fn find_evictable(&mut self, state: &ClientState) -> u64 {
         let (update, last) = (self.update, &self.last_in_union);
         self.held.retain(|&r| state.status(r) != Status::Absent);
         self.evictable.clear();
         let outside = |r: &&RepId| last[r.index()] != update && state.status(**r) == Status::Resident;
         self.evictable.extend(self.held.iter().filter(outside));
-        let possible: u64 = self.evictable.iter().map(|&r| state.tree.decoded_bytes(r)).sum();
-        let mut free = state.free_bytes();
-        if free + possible < bytes {
-            return false;
-        }
+        self.evictable.iter().map(|&r| state.tree.decoded_bytes(r)).sum()
+    }
+
+    /// Plans discards until `bytes` fit.
+    fn make_room(&mut self, state: &ClientState, bytes: u64) {
         // A prerequisite was in every union that what needs it was in, and has the lower id: it goes later.
+        let last = &self.last_in_union;
         self.evictable.sort_unstable_by_key(|&r| (last[r.index()], core::cmp::Reverse(r)));
+        let mut free = state.free_bytes();
         for &rep in &self.evictable {
             if free >= bytes {
                 break;
@@ -380,7 +389,6 @@ impl Lookahead {
             free += state.tree.decoded_bytes(rep);
             self.discards.push_back(rep);
         }
-        true
     }
 
     /// The next request, if there is one and room for it.
@@ -393,10 +401,7 @@ impl Lookahead {
                 queue.pass();
                 continue;
             }
-            let mut rep = entry.rep;
-            while let Some(missing) = state.tree.prerequisite(rep).filter(|&p| state.status(p) == Status::Absent) {
-                rep = missing;
-            }
+            let rep = first_missing(state, entry.rep);
             let bytes = state.request_bytes(rep);
             if bytes <= state.free_bytes() {
                 if rep == entry.rep {
@@ -406,19 +411,30 @@ impl Lookahead {
                 self.pending.push(rep);
                 return Some(Action::Fetch { rep, discard_on_arrival: Vec::new() });
             }
-            if bytes > state.budget {
-                queue.pass();
-            } else if self.make_room(state, bytes) {
+            let possible = state.free_bytes() + self.find_evictable(state);
+            if bytes <= possible {
+                self.make_room(state, bytes);
                 return self.discards.pop_front().map(Action::Discard);
-            } else {
-                self.pending.retain(|&r| matches!(state.status(r), Status::InFlight | Status::Arrived));
-                if !self.pending.is_empty() {
-                    return None;
-                }
-                if from_cover.is_some() { self.cover.pass() } else { self.queue.pass() }
             }
+            self.pending.retain(|&r| matches!(state.status(r), Status::InFlight | Status::Arrived));
+            if bytes <= state.budget && !self.pending.is_empty() {
+                return None;
+            }
+            // Waiting will not help: what is too large now is passed over.
+            let limit = if self.pending.is_empty() { possible } else { state.budget };
+            let queue = if from_cover.is_some() { &mut self.cover } else { &mut self.queue };
+            queue.keep(|e| state.request_bytes(first_missing(state, e.rep)) <= limit);
         }
     }
+}
+
+/// The prerequisite of `rep` that has to be requested first, or `rep` itself.
+fn first_missing(state: &ClientState, rep: RepId) -> RepId {
+    let mut first = rep;
+    while let Some(missing) = state.tree.prerequisite(first).filter(|&p| state.status(p) == Status::Absent) {
+        first = missing;
+    }
+    first
 }
 
 fn distance_to(tree: &LodTree, node: NodeId, eye: DVec3) -> f64 {
@@ -440,7 +456,7 @@ fn facing(tree: &LodTree, reps: &[RepId], towards: DVec3) -> impl Iterator<Item 
     for &rep in reps {
         let mut candidate = (cosine(rep), Some(rep));
         for place in &mut best {
-            if place.1.is_none() || candidate.0 > place.0 {
+            if place.1.is_none() || candidate.0 > place.0 || (candidate.0 == place.0 && candidate.1 < place.1) {
                 core::mem::swap(place, &mut candidate);
             }
         }

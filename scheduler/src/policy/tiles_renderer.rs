@@ -23,12 +23,14 @@
 //! - A tileset states the error of an empty tile, the tree does not. An empty tile never meets the target: stopping at
 //!   it shows nothing. Where children replace their parent together (`Atomic`), an empty sibling hands the marking on to
 //!   its children, as an external tileset does; else it is marked itself, and nothing outside the frustum is loaded for it.
+//!   As shipped, it counts as drawn while what is beneath it comes.
 //! - The tree is known from the start: no `tileset.json` is waited for, and the 250 tiles prepared per frame do not bind.
 //! - Upper cap = the budget, which cannot be overdrawn; lower cap = ¾ of it (0.3 of 0.4 GiB); 8000 and 6000 items. As
 //!   shipped, bytes count once a tile is loaded. "Full" is: the next request does not fit. Unused tiles then go at once,
 //!   if that makes room (shipped: when the download has overdrawn the cap). If not, the queue waits for what is on its
 //!   way, and when nothing is, later requests that fit go ahead.
 //! - The shipped queue frees a slot at the response's header; here at the last byte, as its limit is meant.
+//! - Contents have their prerequisites requested first and kept as long as they are used or cached.
 //! - Queue and downloads run within the frame that finds a tile used; shipped, up to one frame later. The queue is made
 //!   anew each frame: only its order of insertion among equals is lost; here the tile first in preorder goes first.
 //! - Of what is drawn, only that is followed which decides on loading; "kicked" tiles are not.
@@ -93,6 +95,8 @@ struct Visit {
     kept: u32,
     active: u32,
     in_frustum: bool,
+    /// The whole box lies in the frustum.
+    all_inside: bool,
     cached: bool,
     failed: bool,
     finished: bool,
@@ -244,7 +248,7 @@ impl TilesRenderer {
         let room = self.settings.max_items.saturating_sub(self.cached.len());
         if self.queue.len() > room {
             // The queue is admitted in the order in which it would be unloaded last.
-            self.queue.sort_unstable_by(|a, b| a.depth.cmp(&b.depth).then(by_priority(a, b)));
+            self.queue.select_nth_unstable_by(room, |a, b| a.depth.cmp(&b.depth).then(by_priority(a, b)));
             self.queue.truncate(room);
         }
     }

@@ -41,20 +41,19 @@ impl TilesRenderer {
         loop {
             if let Some(id) = entering.take() {
                 self.visit(traversal, id);
-                let visit = &mut self.visits[id as usize];
-                if visit.in_frustum {
-                    let tile = &self.tiles[id as usize];
-                    let meets_target = visit.error <= traversal.target;
-                    if !meets_target || traversal.passes_through(tile) {
-                        self.descents.push(Descent {
-                            tile: id,
-                            next_child: id + 1,
-                            any_child_in_frustum: false,
-                            any_child_used: false,
-                        });
-                    } else {
+                let (tile, visit) = (&self.tiles[id as usize], &mut self.visits[id as usize]);
+                if visit.in_frustum && (visit.error > traversal.target || traversal.passes_through(tile)) {
+                    self.descents.push(Descent {
+                        tile: id,
+                        next_child: id + 1,
+                        any_child_in_frustum: false,
+                        any_child_used: false,
+                    });
+                } else {
+                    if visit.in_frustum {
                         visit.used = self.frame;
                     }
+                    self.tell_parent(id);
                 }
             }
             let Some(descent) = self.descents.last_mut() else { return };
@@ -105,15 +104,18 @@ impl TilesRenderer {
 
     /// `resetFrameState`: error and distance as this frame's view has them.
     fn visit(&mut self, traversal: &Traversal, id: u32) {
-        let visit = &mut self.visits[id as usize];
-        if visit.visited == self.frame {
+        if self.visits[id as usize].visited == self.frame {
             return;
         }
-        visit.visited = self.frame;
         let tile = &self.tiles[id as usize];
+        let above = self.visits.get(tile.parent as usize);
+        let above_inside = above.is_some_and(|v| v.visited == self.frame && v.all_inside);
+        let visit = &mut self.visits[id as usize];
+        visit.visited = self.frame;
         let to_centre = traversal.tree.centre(tile.node) - traversal.frustum.eye;
         let half = traversal.tree.half(tile.node);
-        visit.in_frustum = traversal.frustum.side(to_centre, half) != Side::Outside;
+        let side = if above_inside { Side::Inside } else { traversal.frustum.side(to_centre, half) };
+        (visit.in_frustum, visit.all_inside) = (side != Side::Outside, side == Side::Inside);
         visit.distance = (to_centre.abs() - half).max(DVec3::ZERO).length();
         visit.error = if visit.distance == 0.0 {
             f64::INFINITY
@@ -154,7 +156,7 @@ impl TilesRenderer {
 
     /// `markVisibleTiles`: which tiles are drawn, and which of the last frame stay because those are not loaded.
     pub(super) fn keep_previously_used(&mut self, traversal: &Traversal) {
-        let (frame, listed, mut skip_until) = (self.frame, self.used.len(), 0);
+        let (frame, listed, mut skip_until, mut first) = (self.frame, self.used.len(), 0, 0);
         for place in 0..listed {
             let id = self.used[place];
             let tile = self.tiles[id as usize];
@@ -173,7 +175,10 @@ impl TilesRenderer {
                 continue;
             }
             let last = &self.used_last_frame;
-            let first = last.partition_point(|&t| t <= id);
+            // Both lists are in preorder.
+            while last.get(first).is_some_and(|&t| t <= id) {
+                first += 1;
+            }
             let mut drawn_until = 0;
             for at in first..last.len() {
                 let below = self.used_last_frame[at];
@@ -199,7 +204,8 @@ impl TilesRenderer {
             }
         }
         if self.used.len() > listed {
-            self.used.sort_unstable();
+            // Two runs in order: a merge.
+            self.used.sort();
         }
         for at in 0..self.used_last_frame.len() {
             self.visit(traversal, self.used_last_frame[at]);

@@ -88,8 +88,9 @@ impl TilesRenderer {
         freed
     }
 
-    /// Sorts what is unloaded first to the front: `lruPriorityCallback` after "unfinished first".
-    fn unload_key(&self, state: &ClientState, id: u32) -> (bool, u32, u32, u8, u64, u32) {
+    /// Sorts what is unloaded first to the front: `lruPriorityCallback` after "unfinished first". Among equals, what was
+    /// cached first goes first.
+    fn unload_key(&self, state: &ClientState, id: u32) -> (bool, u32, u32, u8, u64) {
         let visit = &self.visits[id as usize];
         let progress = self.contents(id).iter().map(|&r| match state.status(r) {
             Status::Absent => 0,
@@ -101,7 +102,7 @@ impl TilesRenderer {
         let error = visit.error.to_bits();
         let finished = self.is_finished(state, id);
         let depth = u32::MAX - self.tiles[id as usize].depth;
-        (finished, visit.visited, depth, progress.min().unwrap_or(0), error, u32::MAX - id)
+        (finished, visit.visited, depth, progress.min().unwrap_or(0), error)
     }
 
     /// Counts, or with `counting` false sets back, which representations others in the cache need.

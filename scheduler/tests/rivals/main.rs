@@ -1,0 +1,5 @@
+//! The rival policies, driven through the scheduler.
+
+mod lookahead;
+mod session;
+mod tiles_renderer;
