@@ -93,6 +93,7 @@ pub struct LodTree {
     rep_error: Vec<f32>,
     rep_prerequisite: Vec<u32>,
     rep_direction: Vec<u8>,
+    errors_fall: bool,
 }
 
 /// Why a tree cannot be built.
@@ -309,6 +310,7 @@ impl LodTreeBuilder {
             return Err(LodTreeError::Empty);
         }
         self.tree.first_rep.push(self.tree.rep_node.len() as u32);
+        self.tree.errors_fall = self.tree.find_errors_fall();
         if !self.any_importance {
             self.tree.importance = Vec::new();
         }
@@ -450,6 +452,26 @@ impl LodTree {
     /// u_r: the direction an orthoview was rendered along, as its code ([`Representation::direction`]).
     pub fn direction(&self, rep: RepId) -> Option<u8> {
         self.rep_direction.get(rep.index()).copied().filter(|&d| d != NO_DIRECTION)
+    }
+
+    /// True if no representation has a larger error than one at a node above it: then the nearest node above that shows
+    /// anything shows it best.
+    pub fn errors_fall(&self) -> bool {
+        self.errors_fall
+    }
+
+    fn find_errors_fall(&self) -> bool {
+        // Least error of the node's own representations and those above it, in preorder.
+        let mut least = vec![f32::INFINITY; self.nodes()];
+        (0..self.nodes()).all(|node| {
+            let above = match self.parent[node] {
+                u32::MAX => f32::INFINITY,
+                parent => least[parent as usize],
+            };
+            let own = &self.rep_error[self.first_rep[node] as usize..self.first_rep[node + 1] as usize];
+            least[node] = own.iter().copied().fold(above, f32::min);
+            own.iter().all(|&error| error <= above)
+        })
     }
 
     /// True if some representation needs another first.

@@ -79,7 +79,22 @@ impl Coverage {
 
     /// Least error (m) at the node or above it; ∞ where nothing is shown.
     pub fn best_above(&self, tree: &LodTree, node: NodeId) -> f32 {
-        tree.ancestors(node).fold(f32::INFINITY, |best, n| best.min(self.best[n.index()]))
+        self.shown_at(tree, node).1
+    }
+
+    /// The node at or above `node` whose own representations show it best, and with which error; ∞ for nothing.
+    pub fn shown_at(&self, tree: &LodTree, node: NodeId) -> (Option<NodeId>, f32) {
+        let mut shown = (None, f32::INFINITY);
+        for above in tree.ancestors(node) {
+            let error = self.best[above.index()];
+            if error < shown.1 {
+                shown = (Some(above), error);
+                if tree.errors_fall() {
+                    break;
+                }
+            }
+        }
+        shown
     }
 
     /// Whether something strictly beneath the node counts.

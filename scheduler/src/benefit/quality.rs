@@ -41,7 +41,7 @@ pub fn evaluate(tree: &LodTree, cut: &Cut, coverage: &Coverage, mut shown: impl 
     let mut quality = Quality::default();
     let mut stack = Vec::new();
     for patch in &cut.patches {
-        let (owner, error) = best_owner(tree, coverage, patch.node);
+        let (owner, error) = coverage.shown_at(tree, patch.node);
         quality.weight += patch.weight;
         let mut count = |part: Shown| {
             if part.owner.is_some() {
@@ -59,18 +59,6 @@ pub fn evaluate(tree: &LodTree, cut: &Cut, coverage: &Coverage, mut shown: impl 
         }
     }
     quality
-}
-
-/// The node at or above `node` whose own representations show it best, and with which error.
-fn best_owner(tree: &LodTree, coverage: &Coverage, node: NodeId) -> (Option<NodeId>, f32) {
-    let mut best = (None, f32::INFINITY);
-    for above in tree.ancestors(node) {
-        let error = coverage.best_at(above);
-        if error < best.1 {
-            best = (Some(above), error);
-        }
-    }
-    best
 }
 
 /// Splits a group's weight by projected area down to what is shown with one error. `stack` is scratch.

@@ -253,6 +253,9 @@ impl Foresight {
                 return;
             }
             for node in tree.ancestors(patch.node) {
+                if tree.errors_fall() && chain.owner.is_some_and(|owner| node < owner) {
+                    break;
+                }
                 for rep in tree.own(node) {
                     let error = tree.error(rep);
                     if error < f64::from(chain.best) && !plan.contains(rep) {
@@ -265,15 +268,19 @@ impl Foresight {
                 }
             }
         });
+        let alone = !tree.has_prerequisites() && plan.refinement() == Refinement::Partial;
         let mut ranked = core::mem::take(&mut self.candidates).into_vec();
         ranked.clear();
         for &rep in &self.touched {
             if state.status(rep) != Status::Absent {
                 continue;
             }
-            let members = closure(state, plan, rep);
-            let sum: f64 = members.iter().map(|m| self.gain[m.index()]).sum();
-            let ratio = sum / self.cost(state, &members);
+            let ratio = if alone {
+                self.gain[rep.index()] / self.cost(state, &[rep])
+            } else {
+                let members = closure(state, plan, rep);
+                members.iter().map(|m| self.gain[m.index()]).sum::<f64>() / self.cost(state, &members)
+            };
             if ratio > 0.0 {
                 ranked.push(Candidate { ratio, rep });
             }

@@ -218,13 +218,8 @@ impl Horizon {
         for (i, term) in self.terms.iter().enumerate() {
             let share = term.span.after(offset);
             for patch in &term.cut.patches {
-                let mut chain = Chain { owner: None, best: f32::INFINITY };
-                for above in tree.ancestors(patch.node) {
-                    let error = planned.best_at(above);
-                    if error < chain.best {
-                        chain = Chain { owner: Some(above), best: error };
-                    }
-                }
+                let (owner, best) = planned.shown_at(tree, patch.node);
+                let chain = Chain { owner, best };
                 visit(patch, share, chain, i == 0);
             }
         }
