@@ -366,8 +366,17 @@ impl Lookahead {
         }
     }
 
-    /// Lists what may be discarded; returns its bytes.
-    fn find_evictable(&mut self, state: &ClientState) -> u64 {
+    /// Lists what may be discarded in favour of `wanted`; returns its bytes.
+    fn find_evictable(&mut self, state: &ClientState, wanted: RepId) -> u64 {
+        // What is wanted or on its way keeps what it needs.
+        self.pending.retain(|&r| matches!(state.status(r), Status::InFlight | Status::Arrived));
+        for &rep in self.pending.iter().chain(&[wanted]) {
+            let mut needed = state.tree.prerequisite(rep);
+            while let Some(prerequisite) = needed {
+                self.last_in_union[prerequisite.index()] = self.update;
+                needed = state.tree.prerequisite(prerequisite);
+            }
+        }
         let (update, last) = (self.update, &self.last_in_union);
         self.held.retain(|&r| state.status(r) != Status::Absent);
         self.evictable.clear();
@@ -411,12 +420,11 @@ impl Lookahead {
                 self.pending.push(rep);
                 return Some(Action::Fetch { rep, discard_on_arrival: Vec::new() });
             }
-            let possible = state.free_bytes() + self.find_evictable(state);
+            let possible = state.free_bytes() + self.find_evictable(state, entry.rep);
             if bytes <= possible {
                 self.make_room(state, bytes);
                 return self.discards.pop_front().map(Action::Discard);
             }
-            self.pending.retain(|&r| matches!(state.status(r), Status::InFlight | Status::Arrived));
             if bytes <= state.budget && !self.pending.is_empty() {
                 return None;
             }

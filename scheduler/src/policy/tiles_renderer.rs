@@ -151,7 +151,7 @@ pub struct TilesRenderer {
     queue: Vec<Queued>,
     unused: Vec<u32>,
     descents: Vec<Descent>,
-    /// Per representation, how many cached ones need it; zero between uses. Empty if none needs another.
+    /// Per representation, how many cached ones of other tiles need it; zero between uses. Empty if none needs another.
     dependants: Vec<u32>,
     actions: VecDeque<Action>,
 }
@@ -335,10 +335,12 @@ impl Policy for TilesRenderer {
         while let Some(action) = self.actions.pop_front() {
             let possible = match &action {
                 Action::Fetch { rep, .. } => {
-                    state.status(*rep) == Status::Absent && state.request_bytes(*rep) <= state.free_bytes()
+                    state.status(*rep) == Status::Absent
+                        && state.has_prerequisite(*rep)
+                        && state.request_bytes(*rep) <= state.free_bytes()
                 }
-                Action::Cancel(rep) => state.status(*rep) == Status::InFlight,
-                Action::Discard(rep) => state.status(*rep) == Status::Resident,
+                Action::Cancel(rep) => state.status(*rep) == Status::InFlight && !state.is_needed(*rep),
+                Action::Discard(rep) => state.status(*rep) == Status::Resident && !state.is_needed(*rep),
                 Action::WaitUntil(_) => false,
             };
             self.may_have_gone |= !possible || !matches!(action, Action::Fetch { .. });

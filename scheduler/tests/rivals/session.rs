@@ -179,6 +179,21 @@ impl<'a> Session<'a> {
         }
     }
 
+    /// `rep` failed, and with it whatever on its way needs it.
+    fn fail(&mut self, rep: RepId) {
+        self.scheduler.failed(rep, self.now).unwrap();
+        let tree = self.scheduler.state().tree;
+        let needs =
+            |r: RepId| core::iter::successors(tree.prerequisite(r), |&p| tree.prerequisite(p)).any(|p| p == rep);
+        let failing: Vec<RepId> =
+            self.in_flight.iter().map(|t| t.0).chain(self.decoding.iter().copied()).filter(|&r| needs(r)).collect();
+        for &dependent in &failing {
+            self.scheduler.failed(dependent, self.now).unwrap();
+        }
+        self.in_flight.retain(|t| !failing.contains(&t.0));
+        self.decoding.retain(|r| !failing.contains(r));
+    }
+
     /// One tick: the link moves on, decoders finish, the camera is seen, and the scheduler obeyed.
     pub(crate) fn tick(&mut self, view: &View) {
         self.actions.clear();
@@ -197,7 +212,7 @@ impl<'a> Session<'a> {
             self.in_flight.remove(0);
             self.scheduler.responded(rep, self.now).unwrap();
             if self.fails.as_mut().is_some_and(|dice| dice.below(8) == 0) {
-                self.scheduler.failed(rep, self.now).unwrap();
+                self.fail(rep);
             } else {
                 self.scheduler.arrived(rep, self.now).unwrap();
                 self.decoding.push(rep);

@@ -71,7 +71,8 @@ impl TilesRenderer {
             removed_items += 1.0;
             self.visits[id as usize].failed = false;
             let tile = self.tiles[id as usize];
-            for at in tile.first_content..tile.end_content {
+            // Of equal error, the later may need the earlier.
+            for at in (tile.first_content..tile.end_content).rev() {
                 let rep = self.contents[at as usize];
                 let status = state.status(rep);
                 match status {
@@ -79,7 +80,8 @@ impl TilesRenderer {
                     Status::InFlight => self.actions.push_back(Action::Cancel(rep)),
                     _ => {}
                 }
-                if let (Status::Resident | Status::InFlight, Some(p)) = (status, state.tree.prerequisite(rep)) {
+                let needed = state.tree.prerequisite(rep).filter(|p| self.tile_of[p.index()] != id);
+                if let (Status::Resident | Status::InFlight, Some(p)) = (status, needed) {
                     self.dependants[p.index()] = self.dependants[p.index()].saturating_sub(1);
                 }
             }
@@ -113,7 +115,8 @@ impl TilesRenderer {
         for &id in &self.cached {
             let tile = &self.tiles[id as usize];
             for &rep in &self.contents[tile.first_content as usize..tile.end_content as usize] {
-                if let (true, Some(p)) = (state.status(rep) != Status::Absent, state.tree.prerequisite(rep)) {
+                let needed = state.tree.prerequisite(rep).filter(|p| self.tile_of[p.index()] != id);
+                if let (true, Some(p)) = (state.status(rep) != Status::Absent, needed) {
                     self.dependants[p.index()] = if counting { self.dependants[p.index()] + 1 } else { 0 };
                 }
             }
