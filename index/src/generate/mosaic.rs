@@ -80,7 +80,8 @@ pub fn mosaic(
         return Err(MosaicError::Grid(grid));
     }
     let root_file = if source.is_dir() { source.join("tileset.json") } else { source.to_owned() };
-    let opened = tiles3d::load(&root_file).map_err(|error: Tiles3dError| WorldError::from(error))?;
+    let opened =
+        tiles3d::load(&root_file, tiles3d::MAX_TILES).map_err(|error: Tiles3dError| WorldError::from(error))?;
     if opened.world.kind != WorldKind::Tiles3d {
         return Err(MosaicError::Kind { file: root_file, found: format!("a {}", opened.world.kind) });
     }
@@ -145,7 +146,7 @@ pub fn mosaic(
     };
     let root_error = root["geometricError"].clone();
     let tileset = json!({
-        "asset": { "version": "1.0", "gltfUpAxis": up_axis },
+        "asset": { "version": opened.version, "gltfUpAxis": up_axis },
         "extras": { "synthetic": true, "statement": STATEMENT, "grid": grid },
         "geometricError": root_error,
         "root": root,

@@ -18,6 +18,9 @@ use crate::world::{Georeference, Note, Severity, World, WorldKind};
 /// Contents further than this from the origin are taken as Earth-centred, metres.
 const PLANETARY: f64 = 6.0e6;
 
+/// Contents further than this from the origin are refused, metres: an area must still be an f32.
+const FARTHEST: f64 = 1.0e12;
+
 /// A content file that was read.
 struct Read {
     wire_bytes: u32,
@@ -39,6 +42,7 @@ enum Finding {
     UnreadImages,
     MissingFiles,
     TooLarge,
+    TooFar,
 }
 
 /// Builds the world, and lists the files that it was read from.
@@ -107,7 +111,7 @@ fn read_content(folder: &Folder, file: &str, wanted: &[(&Variant, &glam::DMat3)]
         }
     };
     let base = folder_of(file).to_owned();
-    let content = match content::parse(&bytes, &|uri| folder.fetch(&base, uri)) {
+    let content = match content::parse(&bytes, &|uri| Some(folder.fetch(&base, uri)?.1)) {
         Ok(content) => content,
         Err(error) => {
             read.notes.push((Finding::Unreadable, error.to_string()));
@@ -125,6 +129,15 @@ fn read_content(folder: &Folder, file: &str, wanted: &[(&Variant, &glam::DMat3)]
     read.decoded_bytes = geometry.decoded_bytes as u32;
     for (slot, (variant, linear)) in read.placed.iter_mut().zip(wanted) {
         *slot = content::place(&content, &variant.up.rotation(), linear);
+        if let Some(placed) = slot
+            && (placed.bounds.min.abs().max(placed.bounds.max.abs()).max_element() > FARTHEST
+                || !placed.mean.is_finite())
+        {
+            let found = format!("vertices from {} to {}", placed.bounds.min, placed.bounds.max);
+            read.notes.push((Finding::TooFar, found));
+            read.wire_bytes = 0;
+            return read;
+        }
     }
     let mut note = |happened: bool, finding: Finding, text: String| {
         if happened {
@@ -183,6 +196,9 @@ impl Finding {
             Finding::NotThere => (Severity::Missing, format!("{text}; its tile is without it")),
             Finding::Unreadable => (Severity::Missing, format!("{text}; its tile is without it")),
             Finding::TooLarge => (Severity::Missing, format!("{text}; expected below 4 GiB, its tile is without it")),
+            Finding::TooFar => {
+                (Severity::Missing, format!("{text}; expected within {FARTHEST:e} m, its tile is without it"))
+            }
             Finding::NoMesh => {
                 (Severity::Trap, format!("{text}: bounds as declared, bytes in memory counted as those of the file"))
             }

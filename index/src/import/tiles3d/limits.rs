@@ -1,7 +1,7 @@
 //! Bounds on what a tileset may make the importer do.
 
 /// Most tiles of one world, its external tilesets and implicit tiles included.
-pub const MAX_TILES: usize = 1 << 24;
+pub const MAX_TILES: usize = 1 << 23;
 /// Most external tilesets inside each other.
 pub(crate) const MAX_EXTERNAL_DEPTH: usize = 64;
 /// Most vertices of one content that are transformed one by one; beyond, the corners of its accessors' boxes stand in.

@@ -96,13 +96,11 @@ impl Asset<'_> {
     fn images(&mut self, fetch: &dyn Fn(&str) -> Option<Vec<u8>>, geometry: &mut Geometry) {
         let mut shown = BTreeSet::new();
         for texture in &self.root.textures {
-            shown.insert(texture.source.value());
+            // An extension's image (WebP, KTX2) is shown in place of the fallback.
             let extensions = texture.extensions.iter().flat_map(|extensions| extensions.others.values());
-            for source in extensions.filter_map(|extension| extension.get("source")?.as_u64()) {
-                // The extension's image is shown in place of the fallback.
-                shown.remove(&texture.source.value());
-                shown.insert(usize::try_from(source).unwrap_or(usize::MAX));
-            }
+            let extended =
+                extensions.filter_map(|extension| usize::try_from(extension.get("source")?.as_u64()?).ok()).next();
+            shown.insert(extended.unwrap_or(texture.source.value()));
         }
         for image in shown.into_iter().filter_map(|index| self.root.images.get(index)) {
             let fetched;

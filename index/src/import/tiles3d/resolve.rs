@@ -1,5 +1,7 @@
 //! From the addresses in a tileset to files in its folder.
 
+use std::fs::File;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use crate::manifest::Manifest;
@@ -53,11 +55,28 @@ impl Folder {
         self.path.join(Path::new(file))
     }
 
-    /// Reads what `uri` names in a document at `base`; `None` if it is not a file of the folder.
-    pub(crate) fn fetch(&self, base: &str, uri: &str) -> Option<Vec<u8>> {
+    /// Reads what `uri` names in a document at `base`: the file and its bytes. `None` if it is not a file of the folder.
+    pub(crate) fn fetch(&self, base: &str, uri: &str) -> Option<(String, Vec<u8>)> {
         match self.resolve(base, uri) {
-            Target::File { file, .. } => self.read(&file).ok(),
+            Target::File { file, .. } => {
+                let bytes = self.read(&file).ok()?;
+                Some((file, bytes))
+            }
             Target::Elsewhere | Target::Outside => None,
+        }
+    }
+
+    /// True for a tileset: by its name, or where the name says nothing by a first byte that begins JSON.
+    pub(crate) fn is_document(&self, file: &str) -> bool {
+        let extension = Path::new(file).extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
+        match extension.as_deref() {
+            Some("json") => true,
+            Some("b3dm" | "glb" | "gltf" | "i3dm" | "pnts" | "cmpt") => false,
+            _ => {
+                let mut first = [0];
+                let read = File::open(self.at(file)).and_then(|mut file| file.read_exact(&mut first));
+                read.is_ok() && first == *b"{"
+            }
         }
     }
 }
