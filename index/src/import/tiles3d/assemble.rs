@@ -80,8 +80,8 @@ pub(crate) fn assemble(folder: &Folder, name: &str, walked: Walked) -> Result<(W
     }
     let leaves = scene.leaves(&shows);
     let middle = leaves.iter().fold(Aabb::EMPTY, |sum, &leaf| sum.union(scene.bounds(leaf))).centre();
-    let is_earth = has_region || middle.length() > PLANETARY;
-    let up = if is_earth { vertical(middle) } else { scene.facing(&leaves, name, &mut notes) };
+    let facing = scene.facing(&leaves);
+    let (up, is_earth) = orientation(middle, has_region, facing, name, &mut notes);
     let (tree, uris) =
         scene.build(&shows, uris, name, &mut notes).map_err(|source| Tiles3dError::Tree { file: root_file, source })?;
     let heights = leaves.iter().map(|&leaf| scene.height(leaf, up));
@@ -223,6 +223,40 @@ fn vertical(at: DVec3) -> DVec3 {
     gradient.try_normalize().unwrap_or(DVec3::Z)
 }
 
+/// True if surfaces clearly face `axis` rather than `other`: more than half of their area goes that way, and less than
+/// half of that the other way.
+fn faces(facing: DVec3, axis: DVec3, other: DVec3) -> bool {
+    facing.dot(axis) > 0.5 && facing.dot(other).abs() < 0.5 * facing.dot(axis)
+}
+
+/// The vertical, and whether the world is Earth-centred. What is bounded by regions or lies an Earth's radius away is,
+/// unless its surfaces face z and not away from the Earth (a projected system with large northings). Elsewhere z is up,
+/// as 3D Tiles says, unless surfaces face another axis.
+fn orientation(middle: DVec3, has_region: bool, facing: DVec3, name: &str, notes: &mut Vec<Note>) -> (DVec3, bool) {
+    let mut trap = |place: &str, text: String| {
+        let (file, place) = (name.to_owned(), place.to_owned());
+        notes.push(Note { severity: Severity::Trap, file, place, text });
+    };
+    if has_region || middle.length() > PLANETARY {
+        let up = vertical(middle);
+        if has_region || !faces(facing, DVec3::Z, up) {
+            return (up, true);
+        }
+        let far = middle.length();
+        trap("", format!("{far:.0} m from the origin, but surfaces face +z: taken as projected coordinates, +z up"));
+        return (DVec3::Z, false);
+    }
+    let axes = [("+x", DVec3::X), ("-x", DVec3::NEG_X), ("+y", DVec3::Y), ("-y", DVec3::NEG_Y)];
+    if let Some((axis, up)) = axes.into_iter().find(|&(_, up)| faces(facing, up, DVec3::Z)) {
+        let percent = (100.0 * facing.dot(up)).round();
+        let text =
+            format!("up is declared z, but surfaces face {axis} ({percent} % of their area): {axis} is taken as up");
+        trap("$.asset.gltfUpAxis", text);
+        return (up, false);
+    }
+    (DVec3::Z, false)
+}
+
 struct Scene<'a> {
     nodes: &'a [Placement],
     variants: &'a [Variant],
@@ -285,32 +319,15 @@ impl Scene<'_> {
         }
     }
 
-    /// The vertical of a world that does not lie on the Earth: z as 3D Tiles says, unless the leaves' surfaces face
-    /// another axis, more than half of their area going that way and z less than half of that.
-    fn facing(&self, leaves: &[u32], name: &str, notes: &mut Vec<Note>) -> DVec3 {
+    /// Sum of the area vectors of the leaves' surfaces over the sum of their areas: near a unit vector for terrain, near
+    /// 0 for closed bodies, NaN without triangles.
+    fn facing(&self, leaves: &[u32]) -> DVec3 {
         let (mut vector, mut area) = (DVec3::ZERO, 0.0);
         for placed in leaves.iter().filter_map(|&leaf| self.placed(leaf)) {
             vector += placed.area_vector;
             area += placed.area;
         }
-        let share = vector / area;
-        let axes = [("+x", DVec3::X), ("-x", DVec3::NEG_X), ("+y", DVec3::Y), ("-y", DVec3::NEG_Y)];
-        let best = axes.into_iter().max_by(|a, b| share.dot(a.1).total_cmp(&share.dot(b.1)));
-        match best {
-            Some((axis, up)) if share.dot(up) > 0.5 && share.z.abs() < 0.5 * share.dot(up) => {
-                let percent = (100.0 * share.dot(up)).round();
-                notes.push(Note {
-                    severity: Severity::Trap,
-                    file: name.to_owned(),
-                    place: "$.asset.gltfUpAxis".to_owned(),
-                    text: format!(
-                        "up is declared z, but surfaces face {axis} ({percent} % of their area): {axis} is taken as up"
-                    ),
-                });
-                up
-            }
-            _ => DVec3::Z,
-        }
+        vector / area
     }
 
     /// The tree, with the address of every representation.

@@ -121,8 +121,17 @@ pub struct DocumentError {
 /// Reads a tileset document.
 pub fn parse_tileset(bytes: &[u8]) -> Result<TilesetDocument, DocumentError> {
     let bytes = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
-    let settings =
-        ReaderSettings { max_nesting_depth: None, restrict_number_values: false, ..ReaderSettings::default() };
+    // Keeping track of the JSON path costs as much as reading: it is done only once a fault is known to be there.
+    read_document(bytes, false).or_else(|_| read_document(bytes, true))
+}
+
+fn read_document(bytes: &[u8], track_path: bool) -> Result<TilesetDocument, DocumentError> {
+    let settings = ReaderSettings {
+        max_nesting_depth: None,
+        restrict_number_values: false,
+        track_path,
+        ..ReaderSettings::default()
+    };
     let mut reader = JsonStreamReader::new_custom(bytes, settings);
     let mut document = TilesetDocument::default();
     let mut asset = false;

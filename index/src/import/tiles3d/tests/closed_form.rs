@@ -240,3 +240,98 @@ fn a_mosaic_copies_subtrees_and_external_tilesets() {
     let world = crate::world::open(&out).unwrap();
     assert_eq!(uris(&world)[1..], ["0_0", "1_0", "0_1", "1_1"].map(|cell| format!("cells/{cell}/deep/a.glb")));
 }
+
+#[test]
+fn projected_coordinates_are_not_taken_for_earth_centred_ones() {
+    let scratch = Scratch::new();
+    scratch.put("a.glb", rectangle(None));
+    let mut root = tile(1.0, "a.glb", &[]);
+    root["transform"] = json!([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 500_000, 6_290_000, 80, 1]);
+    scratch.tileset("tileset.json", &root);
+    let world = scratch.open().unwrap();
+    assert_eq!((world.up, world.georeference), (DVec3::Z, None));
+    assert!(world.notes.iter().any(|note| note.text.contains("projected")), "{:?}", world.notes);
+}
+
+#[test]
+fn buffers_beside_a_gltf_are_part_of_it() {
+    let scratch = Scratch::new();
+    let asset = |buffer: &str| {
+        json!({
+            "asset": { "version": "2.0" }, "nodes": [{ "mesh": 0, "translation": [0, 0, 5] }],
+            "meshes": [{ "primitives": [{ "attributes": { "POSITION": 0 } }] }],
+            // Normalised 16-bit integers, 8 bytes apart.
+            "accessors": [{ "bufferView": 0, "componentType": 5122, "normalized": true, "count": 2, "type": "VEC3" }],
+            "bufferViews": [{ "buffer": 0, "byteLength": 14, "byteStride": 8 }],
+            "buffers": [{ "byteLength": 14, "uri": buffer }],
+        })
+    };
+    let positions: [i16; 7] = [32767, 0, -32767, 0, 0, 32767, 0];
+    let bytes: Vec<u8> = positions.iter().flat_map(|value| value.to_le_bytes()).collect();
+    scratch.put("m/a b.bin", &bytes);
+    let inline = "data:application/octet-stream;base64,/38AAAGAAAAAAP9/AAA=";
+    let (external, inline) = (asset("a%20b.bin").to_string(), asset(inline).to_string());
+    scratch.put("m/external.gltf", &external);
+    scratch.put("m/inline.gltf", &inline);
+    let children = [tile(0.0, "m/external.gltf?v=2", &[]), tile(0.0, "m/inline.gltf", &[])];
+    scratch.tileset("tileset.json", &empty_tile(&children));
+    let world = scratch.open().unwrap();
+    let tree = &world.tree;
+    assert_eq!(
+        (tree.wire_bytes(RepId(0)), tree.wire_bytes(RepId(1))),
+        (external.len() as u64 + 14, inline.len() as u64)
+    );
+    assert_eq!((tree.decoded_bytes(RepId(0)), tree.decoded_bytes(RepId(1))), (12, 12));
+    // glTF (1, 0, −1 + 5) and (0, 1, 0 + 5): tile (1, −4, 0) and (0, −5, 1).
+    for node in [NodeId(1), NodeId(2)] {
+        assert!(close(tree.bounds(node), bounds([0.0, -5.0, 0.0], [1.0, -4.0, 1.0])), "{:?}", tree.bounds(node));
+    }
+    assert_eq!(uris(&world)[0], "m/external.gltf?v=2");
+    assert!(world.notes.is_empty(), "{:?}", world.notes);
+}
+
+#[test]
+fn contents_that_are_not_read_are_bounded_as_declared() {
+    let scratch = Scratch::new();
+    let mut cloud = b"pnts\x01\0\0\0".to_vec();
+    cloud.extend(40_u32.to_le_bytes());
+    cloud.resize(40, 0);
+    scratch.put("a.pnts", &cloud);
+    let mut root = tile(1.0, "a.pnts", &[]);
+    root["content"]["boundingVolume"] = json!({ "sphere": [1, 2, 3, 1] });
+    scratch.tileset("tileset.json", &root);
+    let world = scratch.open().unwrap();
+    assert!(close(world.tree.bounds(NodeId(0)), bounds([0.0, 1.0, 2.0], [2.0, 3.0, 4.0])));
+    assert_eq!((world.tree.wire_bytes(RepId(0)), world.tree.decoded_bytes(RepId(0))), (40, 40));
+    assert_eq!(world.ground_height(DVec3::ZERO), Some(2.0));
+    assert!(world.notes.iter().any(|note| note.severity == Severity::Trap && note.text.contains("point cloud")));
+}
+
+#[test]
+fn the_extensions_that_became_part_of_the_format() {
+    let scratch = Scratch::new();
+    scratch.put("a.glb", rectangle(None));
+    scratch.put("b.glb", rectangle(None));
+    let mut several = empty_tile(&[]);
+    several["extensions"] =
+        json!({ "3DTILES_multiple_contents": { "content": [{ "uri": "a.glb" }, { "uri": "b.glb" }] } });
+    let mut implicit = tile(1.0, "b.glb", &[]);
+    implicit.as_object_mut().unwrap().remove("children");
+    implicit["extensions"] = json!({ "3DTILES_implicit_tiling": {
+        "subdivisionScheme": "QUADTREE", "subtreeLevels": 1, "maximumLevel": 0, "subtrees": { "uri": "{level}.subtree" },
+    } });
+    let one = json!({
+        "tileAvailability": { "constant": 1 }, "contentAvailability": { "constant": 1 },
+        "childSubtreeAvailability": { "constant": 0 },
+    });
+    scratch.put("0.subtree", subtree(&one, &[]));
+    let document = json!({
+        "asset": { "version": "1.0" }, "root": empty_tile(&[several, implicit]),
+        "extensionsRequired": ["3DTILES_implicit_tiling", "X_unheard_of"],
+    });
+    scratch.put("tileset.json", document.to_string());
+    let world = scratch.open().unwrap();
+    assert_eq!(uris(&world), ["a.glb", "b.glb", "b.glb"]);
+    assert_eq!(world.notes.len(), 1);
+    assert!(world.notes[0].text.contains("X_unheard_of"), "{}", world.notes[0]);
+}
