@@ -319,3 +319,38 @@ fn put_vec3(buffer: &mut Vec<u8>, vector: DVec3) {
         buffer.extend_from_slice(&value.to_bits().to_le_bytes());
     }
 }
+
+#[cfg(all(test, feature = "city"))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_hash_tells_worlds_apart() {
+        let world = built_in_city();
+        let mut other = world.clone();
+        other.name = "other".to_owned();
+        assert_eq!(world.hash(), other.hash());
+        other.up = -other.up;
+        assert_ne!(world.hash(), other.hash());
+    }
+
+    #[test]
+    fn a_folder_with_nothing_known() {
+        let folder = tempfile::tempdir().unwrap();
+        let message = open(folder.path()).unwrap_err().to_string();
+        assert!(message.contains("neither tileset.json nor city.json"), "{message}");
+        std::fs::write(folder.path().join("city.json"), "").unwrap();
+        let message = open(folder.path()).unwrap_err().to_string();
+        assert!(message.contains("city.json: nothing in it; expected"), "{message}");
+    }
+
+    #[test]
+    fn figures_agree_with_the_tree() {
+        let world = built_in_city();
+        let summary = world.summary();
+        // Root, four halvings of 20 blocks to 1, block and building.
+        assert_eq!(summary.depth, 7);
+        assert_eq!(summary.representations, world.uris.len() as u64);
+        assert!(summary.leaves < summary.nodes && summary.wire_bytes < summary.decoded_bytes);
+    }
+}

@@ -27,7 +27,8 @@ struct Read {
     decoded_bytes: u32,
     /// For each of the file's variants, in order: what it shows, if vertices are known.
     placed: Vec<Option<Placed>>,
-    notes: Vec<(Finding, String)>,
+    /// What was found, where (a byte or a JSON path; empty for the whole file), and its particulars.
+    notes: Vec<(Finding, String, String)>,
     files: Vec<String>,
 }
 
@@ -101,12 +102,12 @@ fn read_content(folder: &Folder, file: &str, wanted: &[(&Variant, &glam::DMat3)]
     };
     let bytes = match folder.read(file) {
         Ok(bytes) if bytes.is_empty() => {
-            read.notes.push((Finding::NotThere, "an empty file".to_owned()));
+            read.notes.push((Finding::NotThere, String::new(), "an empty file".to_owned()));
             return read;
         }
         Ok(bytes) => bytes,
         Err(error) => {
-            read.notes.push((Finding::NotThere, error.to_string()));
+            read.notes.push((Finding::NotThere, String::new(), error.to_string()));
             return read;
         }
     };
@@ -114,7 +115,7 @@ fn read_content(folder: &Folder, file: &str, wanted: &[(&Variant, &glam::DMat3)]
     let content = match content::parse(&bytes, &|uri| Some(folder.fetch(&base, uri)?.1)) {
         Ok(content) => content,
         Err(error) => {
-            read.notes.push((Finding::Unreadable, error.to_string()));
+            read.notes.push((Finding::Unreadable, error.place, error.fault));
             return read;
         }
     };
@@ -122,7 +123,7 @@ fn read_content(folder: &Folder, file: &str, wanted: &[(&Variant, &glam::DMat3)]
     let wire = (bytes.len() as u64).saturating_add(geometry.external_bytes);
     if wire > u64::from(u32::MAX) || geometry.decoded_bytes > u64::from(u32::MAX) {
         let found = format!("{wire} bytes on the wire and {} in memory", geometry.decoded_bytes);
-        read.notes.push((Finding::TooLarge, found));
+        read.notes.push((Finding::TooLarge, String::new(), found));
         return read;
     }
     read.wire_bytes = wire as u32;
@@ -134,14 +135,14 @@ fn read_content(folder: &Folder, file: &str, wanted: &[(&Variant, &glam::DMat3)]
                 || !placed.mean.is_finite())
         {
             let found = format!("vertices from {} to {}", placed.bounds.min, placed.bounds.max);
-            read.notes.push((Finding::TooFar, found));
+            read.notes.push((Finding::TooFar, String::new(), found));
             read.wire_bytes = 0;
             return read;
         }
     }
     let mut note = |happened: bool, finding: Finding, text: String| {
         if happened {
-            read.notes.push((finding, text));
+            read.notes.push((finding, String::new(), text));
         }
     };
     note(!content.kind.has_mesh(), Finding::NoMesh, kind_name(content.kind).to_owned());
@@ -171,21 +172,19 @@ fn kind_name(kind: ContentKind) -> &'static str {
 
 /// One note per kind of finding for the first files, and the count of the rest.
 fn summarise(files: &[String], read: &[Read], notes: &mut Vec<Note>) {
-    let mut findings: Vec<(Finding, &String, &String)> = Vec::new();
+    let mut findings: Vec<(Finding, &String, &String, &String)> = Vec::new();
     for (file, read) in files.iter().zip(read) {
-        findings.extend(read.notes.iter().map(|(finding, text)| (*finding, file, text)));
+        findings.extend(read.notes.iter().map(|(finding, place, text)| (*finding, file, place, text)));
     }
     findings.sort();
     for group in findings.chunk_by(|a, b| a.0 == b.0) {
-        for &(finding, file, text) in group.iter().take(MAX_NOTED_FILES) {
-            let (severity, text) = finding.say(text);
-            notes.push(Note { severity, file: file.clone(), place: String::new(), text });
-        }
-        if let Some(more) = group.len().checked_sub(MAX_NOTED_FILES).filter(|&more| more > 0) {
-            let (finding, file, text) = group[MAX_NOTED_FILES];
-            let (severity, text) = finding.say(text);
-            let text = format!("{text} (and {} more like it)", more - 1);
-            notes.push(Note { severity, file: file.clone(), place: String::new(), text });
+        for (at, &(finding, file, place, text)) in group.iter().take(MAX_NOTED_FILES).enumerate() {
+            let (severity, mut text) = finding.say(text);
+            let unsaid = group.len().saturating_sub(MAX_NOTED_FILES);
+            if at + 1 == MAX_NOTED_FILES && unsaid > 0 {
+                text.push_str(&format!(" (and {unsaid} more files like it)"));
+            }
+            notes.push(Note { severity, file: file.clone(), place: place.clone(), text });
         }
     }
 }
