@@ -227,7 +227,10 @@ enum Content {
 
 fn recognise(head: &[u8]) -> Content {
     let head = head.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(head).trim_ascii_start();
-    if head.is_empty() {
+    if head.starts_with(b"\x1F\x8B") {
+        // gzip, as tilesets are often stored.
+        Content::Json
+    } else if head.is_empty() {
         Content::Other("nothing in it".to_owned())
     } else if head[0] != b'{' {
         let start = String::from_utf8_lossy(&head[..head.len().min(24)]);

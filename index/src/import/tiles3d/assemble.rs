@@ -100,12 +100,12 @@ fn read_content(folder: &Folder, file: &str, wanted: &[(&Variant, &glam::DMat3)]
         notes: Vec::new(),
         files: Vec::new(),
     };
-    let bytes = match folder.read(file) {
-        Ok(bytes) if bytes.is_empty() => {
+    let (bytes, stored) = match folder.read_stored(file) {
+        Ok((_, 0)) => {
             read.notes.push((Finding::NotThere, String::new(), "an empty file".to_owned()));
             return read;
         }
-        Ok(bytes) => bytes,
+        Ok(found) => found,
         Err(error) => {
             read.notes.push((Finding::NotThere, String::new(), error.to_string()));
             return read;
@@ -120,7 +120,7 @@ fn read_content(folder: &Folder, file: &str, wanted: &[(&Variant, &glam::DMat3)]
         }
     };
     let geometry = &content.geometry;
-    let wire = (bytes.len() as u64).saturating_add(geometry.external_bytes);
+    let wire = stored.saturating_add(geometry.external_bytes);
     if wire > u64::from(u32::MAX) || geometry.decoded_bytes > u64::from(u32::MAX) {
         let found = format!("{wire} bytes on the wire and {} in memory", geometry.decoded_bytes);
         read.notes.push((Finding::TooLarge, String::new(), found));
@@ -146,7 +146,7 @@ fn read_content(folder: &Folder, file: &str, wanted: &[(&Variant, &glam::DMat3)]
         }
     };
     note(!content.kind.has_mesh(), Finding::NoMesh, kind_name(content.kind).to_owned());
-    note(content.kind.has_mesh() && !geometry.exact, Finding::NotExact, String::new());
+    note(content.kind.has_mesh() && (!geometry.exact || geometry.instanced), Finding::NotExact, String::new());
     note(geometry.bad_vertices > 0, Finding::BadVertices, format!("{} of them", geometry.bad_vertices));
     note(geometry.unread_images > 0, Finding::UnreadImages, format!("{} of them", geometry.unread_images));
     note(!geometry.missing_files.is_empty(), Finding::MissingFiles, geometry.missing_files.join(", "));
@@ -203,7 +203,7 @@ impl Finding {
             }
             Finding::NotExact => (
                 Severity::Trap,
-                "vertices compressed or not readable: bounds from what the accessors declare".to_owned(),
+                "vertices compressed, instanced or not readable: bounds from what is declared".to_owned(),
             ),
             Finding::BadVertices => {
                 (Severity::Repair, format!("vertices that are not finite, {text}: left out of the bounds"))

@@ -10,3 +10,5 @@ pub(crate) const MAX_POINTS: usize = 1 << 23;
 pub(crate) const MAX_NOTED_FILES: usize = 16;
 /// Most triangles of one content whose area is summed.
 pub(crate) const MAX_TRIANGLES: usize = 1 << 25;
+/// Most bytes that a compressed file may unfold to.
+pub(crate) const MAX_INFLATED: u64 = 1 << 30;

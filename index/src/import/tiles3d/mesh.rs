@@ -24,6 +24,8 @@ pub(crate) struct Geometry {
     pub(crate) points: Vec<DVec3>,
     /// True if `points` are the vertices themselves.
     pub(crate) exact: bool,
+    /// True if a mesh is drawn at places that are not looked at: `points` do not bound it.
+    pub(crate) instanced: bool,
     /// Σ over the triangles of ½ (b − a) × (c − a): their area and where they face, m².
     pub(crate) area_vector: DVec3,
     /// Σ of the triangles' areas, m².
@@ -183,6 +185,9 @@ impl Asset<'_> {
             let transform = above * local(node);
             if !transform.is_finite() {
                 return Err(ContentError::new(place(), "a transform that is not finite; expected numbers".to_owned()));
+            }
+            if node.extensions.iter().any(|extensions| extensions.others.contains_key("EXT_mesh_gpu_instancing")) {
+                geometry.instanced = true;
             }
             if let Some(mesh) = node.mesh {
                 let Some(mesh) = root.meshes.get(mesh.value()) else {

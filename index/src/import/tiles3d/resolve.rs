@@ -4,6 +4,9 @@ use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
+use flate2::read::MultiGzDecoder;
+
+use super::limits::MAX_INFLATED;
 use crate::manifest::Manifest;
 
 /// The folder of a root tileset, with the manifest beside it if there is one.
@@ -45,9 +48,25 @@ impl Folder {
         Target::File { file, stand_in }
     }
 
-    /// The whole content of a file of the folder.
+    /// The whole content of a file of the folder, inflated if it is stored as gzip.
     pub(crate) fn read(&self, file: &str) -> std::io::Result<Vec<u8>> {
-        std::fs::read(self.at(file))
+        Ok(self.read_stored(file)?.0)
+    }
+
+    /// As [`Folder::read`], with the bytes that the file has as it is stored and sent.
+    pub(crate) fn read_stored(&self, file: &str) -> std::io::Result<(Vec<u8>, u64)> {
+        let stored = std::fs::read(self.at(file))?;
+        let length = stored.len() as u64;
+        if !stored.starts_with(b"\x1F\x8B") {
+            return Ok((stored, length));
+        }
+        let mut bytes = Vec::new();
+        MultiGzDecoder::new(stored.as_slice()).take(MAX_INFLATED + 1).read_to_end(&mut bytes)?;
+        if bytes.len() as u64 > MAX_INFLATED {
+            let text = format!("gzip of more than {MAX_INFLATED} bytes; expected at most that");
+            return Err(std::io::Error::new(std::io::ErrorKind::InvalidData, text));
+        }
+        Ok((bytes, length))
     }
 
     /// Where a file of the folder lies.
@@ -75,7 +94,8 @@ impl Folder {
             _ => {
                 let mut first = [0];
                 let read = File::open(self.at(file)).and_then(|mut file| file.read_exact(&mut first));
-                read.is_ok() && first == *b"{"
+                // JSON, or gzip, in which there is JSON rather than a content without an extension.
+                read.is_ok() && matches!(first, [b'{' | 0x1F])
             }
         }
     }

@@ -1,8 +1,10 @@
+use std::io::Write;
+
 use foresight_scheduler::lod_tree::{Aabb, NodeId, RepId};
 use glam::DVec3;
 use serde_json::json;
 
-use super::{Scratch, anywhere, b3dm, empty_tile, png, rectangle, subtree, tile};
+use super::{Scratch, anywhere, b3dm, empty_tile, glb, png, rectangle, subtree, tile};
 use crate::generate::mosaic::{MosaicError, mosaic};
 use crate::import::tiles3d::{ContentKind, content_summary};
 use crate::world::{Georeference, Severity, World};
@@ -334,4 +336,39 @@ fn the_extensions_that_became_part_of_the_format() {
     assert_eq!(uris(&world), ["a.glb", "b.glb", "b.glb"]);
     assert_eq!(world.notes.len(), 1);
     assert!(world.notes[0].text.contains("X_unheard_of"), "{}", world.notes[0]);
+}
+
+#[test]
+fn gzip_is_inflated_and_counted_as_it_is_sent() {
+    let scratch = Scratch::new();
+    let packed = |bytes: &[u8]| {
+        let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+        encoder.write_all(bytes).unwrap();
+        encoder.finish().unwrap()
+    };
+    let content = packed(&rectangle(None));
+    scratch.put("a.glb", &content);
+    let plain = std::fs::read(scratch.tileset("tileset.json", &tile(1.0, "a.glb", &[]))).unwrap();
+    scratch.put("tileset.json", packed(&plain));
+    let world = scratch.open().unwrap();
+    assert_eq!((world.tree.wire_bytes(RepId(0)), world.tree.decoded_bytes(RepId(0))), (content.len() as u64, 60));
+    scratch.put("tileset.json", &packed(&plain)[..20]);
+    assert!(scratch.open().unwrap_err().to_string().contains("tileset.json"));
+}
+
+#[test]
+fn instances_on_the_gpu_are_bounded_as_declared() {
+    let scratch = Scratch::new();
+    let asset = json!({
+        "asset": { "version": "2.0" },
+        "nodes": [{ "mesh": 0, "extensions": { "EXT_mesh_gpu_instancing": { "attributes": { "TRANSLATION": 0 } } } }],
+        "meshes": [{ "primitives": [{ "attributes": { "POSITION": 0 } }] }],
+        "accessors": [{ "bufferView": 0, "componentType": 5126, "count": 1, "type": "VEC3" }],
+        "bufferViews": [{ "buffer": 0, "byteLength": 12 }], "buffers": [{ "byteLength": 12 }],
+    });
+    scratch.put("a.glb", glb(&asset, &[0; 12]));
+    scratch.tileset("tileset.json", &tile(1.0, "a.glb", &[]));
+    let world = scratch.open().unwrap();
+    assert!(close(world.tree.bounds(NodeId(0)), bounds([-100.0; 3], [100.0; 3])));
+    assert!(world.notes.iter().any(|note| note.text.contains("instanced")), "{:?}", world.notes);
 }
