@@ -56,14 +56,14 @@ impl UriTable {
 
 /// Fills a [`UriTable`], keeping each distinct string once.
 #[derive(Debug, Default)]
-pub(crate) struct UriTableBuilder {
+pub struct UriTableBuilder {
     table: UriTable,
     known: BTreeMap<String, u32>,
 }
 
 impl UriTableBuilder {
     /// The id of a string, stored at its first appearance.
-    pub(crate) fn intern(&mut self, text: &str) -> u32 {
+    pub fn intern(&mut self, text: &str) -> u32 {
         if let Some(&id) = self.known.get(text) {
             return id;
         }
@@ -74,12 +74,13 @@ impl UriTableBuilder {
         id
     }
 
-    /// Gives the next representation its address, from two ids of [`UriTableBuilder::intern`].
-    pub(crate) fn push(&mut self, prefix: u32, tail: u32) {
+    /// Gives the next representation its address: two ids that [`UriTableBuilder::intern`] of this builder returned.
+    pub fn push(&mut self, prefix: u32, tail: u32) {
         self.table.of.push((prefix, tail));
     }
 
-    pub(crate) fn finish(self) -> UriTable {
+    /// The finished table.
+    pub fn finish(self) -> UriTable {
         self.table
     }
 }

@@ -227,7 +227,10 @@ enum Content {
 
 fn recognise(head: &[u8]) -> Content {
     let head = head.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(head).trim_ascii_start();
-    if head.is_empty() {
+    if head.starts_with(b"\x1F\x8B") {
+        // gzip, as tilesets are often stored.
+        Content::Json
+    } else if head.is_empty() {
         Content::Other("nothing in it".to_owned())
     } else if head[0] != b'{' {
         let start = String::from_utf8_lossy(&head[..head.len().min(24)]);
@@ -317,5 +320,40 @@ impl World {
 fn put_vec3(buffer: &mut Vec<u8>, vector: DVec3) {
     for value in vector.to_array() {
         buffer.extend_from_slice(&value.to_bits().to_le_bytes());
+    }
+}
+
+#[cfg(all(test, feature = "city"))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_hash_tells_worlds_apart() {
+        let world = built_in_city();
+        let mut other = world.clone();
+        other.name = "other".to_owned();
+        assert_eq!(world.hash(), other.hash());
+        other.up = -other.up;
+        assert_ne!(world.hash(), other.hash());
+    }
+
+    #[test]
+    fn a_folder_with_nothing_known() {
+        let folder = tempfile::tempdir().unwrap();
+        let message = open(folder.path()).unwrap_err().to_string();
+        assert!(message.contains("neither tileset.json nor city.json"), "{message}");
+        std::fs::write(folder.path().join("city.json"), "").unwrap();
+        let message = open(folder.path()).unwrap_err().to_string();
+        assert!(message.contains("city.json: nothing in it; expected"), "{message}");
+    }
+
+    #[test]
+    fn figures_agree_with_the_tree() {
+        let world = built_in_city();
+        let summary = world.summary();
+        // Root, four halvings of 20 blocks to 1, block and building.
+        assert_eq!(summary.depth, 7);
+        assert_eq!(summary.representations, world.uris.len() as u64);
+        assert!(summary.leaves < summary.nodes && summary.wire_bytes < summary.decoded_bytes);
     }
 }

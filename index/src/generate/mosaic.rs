@@ -80,7 +80,8 @@ pub fn mosaic(
         return Err(MosaicError::Grid(grid));
     }
     let root_file = if source.is_dir() { source.join("tileset.json") } else { source.to_owned() };
-    let opened = tiles3d::load(&root_file).map_err(|error: Tiles3dError| WorldError::from(error))?;
+    let opened =
+        tiles3d::load(&root_file, tiles3d::MAX_TILES).map_err(|error: Tiles3dError| WorldError::from(error))?;
     if opened.world.kind != WorldKind::Tiles3d {
         return Err(MosaicError::Kind { file: root_file, found: format!("a {}", opened.world.kind) });
     }
@@ -145,7 +146,7 @@ pub fn mosaic(
     };
     let root_error = root["geometricError"].clone();
     let tileset = json!({
-        "asset": { "version": "1.0", "gltfUpAxis": up_axis },
+        "asset": { "version": opened.version, "gltfUpAxis": up_axis },
         "extras": { "synthetic": true, "statement": STATEMENT, "grid": grid },
         "geometricError": root_error,
         "root": root,
@@ -245,4 +246,58 @@ impl Plan {
 fn volume(bounds: Aabb) -> Value {
     let (middle, half) = (bounds.centre(), 0.5 * (bounds.max - bounds.min));
     json!({ "box": [middle.x, middle.y, middle.z, half.x, 0.0, 0.0, 0.0, half.y, 0.0, 0.0, 0.0, half.z] })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+
+    #[test]
+    fn every_grid_is_covered_once() {
+        for grid in 1..=17 {
+            let bounds = Aabb { min: DVec3::ZERO, max: DVec3::new(2.0, 3.0, 1.0) };
+            let (tileset, extension) = ("t.json".to_owned(), ".glb".to_owned());
+            let plan = Plan { grid, bounds, axes: axes(DVec3::Z, bounds), error: 5.0, tileset, extension };
+            let mut coarse = Vec::new();
+            let root = plan.tile([0, grid, 0, grid], &mut coarse);
+            assert_eq!(coarse.iter().collect::<BTreeSet<_>>().len(), coarse.len(), "addresses of their own");
+            let mut cells = Vec::new();
+            let mut waiting = vec![(&root, f64::INFINITY)];
+            while let Some((tile, above)) = waiting.pop() {
+                let error = tile["geometricError"].as_f64().unwrap();
+                assert!(error < above);
+                match tile["children"].as_array() {
+                    Some(children) => waiting.extend(children.iter().map(|child| (child, error))),
+                    None => {
+                        cells.push((tile["transform"][12].as_f64().unwrap(), tile["transform"][13].as_f64().unwrap()))
+                    }
+                }
+            }
+            cells.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.total_cmp(&b.0)));
+            let expected: Vec<_> = plan.cells().map(|(x, y)| (2.0 * f64::from(x), 3.0 * f64::from(y))).collect();
+            assert_eq!(cells, expected);
+        }
+    }
+
+    #[test]
+    fn instances_lie_across_up() {
+        let bounds = Aabb { min: DVec3::ZERO, max: DVec3::new(2.0, 3.0, 4.0) };
+        assert_eq!(
+            axes(DVec3::Y, bounds).map(|axis| axis.abs()),
+            [DVec3::new(2.0, 0.0, 0.0), DVec3::new(0.0, 0.0, 4.0)]
+        );
+        for axis in axes(DVec3::new(0.6, 0.0, 0.8), bounds) {
+            assert!(axis.dot(DVec3::new(0.6, 0.0, 0.8)).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn refuses_grids_out_of_range() {
+        for grid in [0, MAX_GRID + 1] {
+            let error = mosaic(Path::new("absent"), grid, Path::new("out"), &mut |_, _| {}).unwrap_err();
+            assert!(matches!(error, MosaicError::Grid(_)), "{error}");
+        }
+    }
 }

@@ -18,13 +18,17 @@ use crate::world::{Georeference, Note, Severity, World, WorldKind};
 /// Contents further than this from the origin are taken as Earth-centred, metres.
 const PLANETARY: f64 = 6.0e6;
 
+/// Contents further than this from the origin are refused, metres: an area must still be an f32.
+const FARTHEST: f64 = 1.0e12;
+
 /// A content file that was read.
 struct Read {
     wire_bytes: u32,
     decoded_bytes: u32,
     /// For each of the file's variants, in order: what it shows, if vertices are known.
     placed: Vec<Option<Placed>>,
-    notes: Vec<(Finding, String)>,
+    /// What was found, where (a byte or a JSON path; empty for the whole file), and its particulars.
+    notes: Vec<(Finding, String, String)>,
     files: Vec<String>,
 }
 
@@ -39,6 +43,7 @@ enum Finding {
     UnreadImages,
     MissingFiles,
     TooLarge,
+    TooFar,
 }
 
 /// Builds the world, and lists the files that it was read from.
@@ -76,8 +81,8 @@ pub(crate) fn assemble(folder: &Folder, name: &str, walked: Walked) -> Result<(W
     }
     let leaves = scene.leaves(&shows);
     let middle = leaves.iter().fold(Aabb::EMPTY, |sum, &leaf| sum.union(scene.bounds(leaf))).centre();
-    let is_earth = has_region || middle.length() > PLANETARY;
-    let up = if is_earth { vertical(middle) } else { scene.facing(&leaves, name, &mut notes) };
+    let facing = scene.facing(&leaves);
+    let (up, is_earth) = orientation(middle, has_region, facing, name, &mut notes);
     let (tree, uris) =
         scene.build(&shows, uris, name, &mut notes).map_err(|source| Tiles3dError::Tree { file: root_file, source })?;
     let heights = leaves.iter().map(|&leaf| scene.height(leaf, up));
@@ -95,44 +100,53 @@ fn read_content(folder: &Folder, file: &str, wanted: &[(&Variant, &glam::DMat3)]
         notes: Vec::new(),
         files: Vec::new(),
     };
-    let bytes = match folder.read(file) {
-        Ok(bytes) if bytes.is_empty() => {
-            read.notes.push((Finding::NotThere, "an empty file".to_owned()));
+    let (bytes, stored) = match folder.read_stored(file) {
+        Ok((_, 0)) => {
+            read.notes.push((Finding::NotThere, String::new(), "an empty file".to_owned()));
             return read;
         }
-        Ok(bytes) => bytes,
+        Ok(found) => found,
         Err(error) => {
-            read.notes.push((Finding::NotThere, error.to_string()));
+            read.notes.push((Finding::NotThere, String::new(), error.to_string()));
             return read;
         }
     };
     let base = folder_of(file).to_owned();
-    let content = match content::parse(&bytes, &|uri| folder.fetch(&base, uri)) {
+    let content = match content::parse(&bytes, &|uri| Some(folder.fetch(&base, uri)?.1)) {
         Ok(content) => content,
         Err(error) => {
-            read.notes.push((Finding::Unreadable, error.to_string()));
+            read.notes.push((Finding::Unreadable, error.place, error.fault));
             return read;
         }
     };
     let geometry = &content.geometry;
-    let wire = (bytes.len() as u64).saturating_add(geometry.external_bytes);
+    let wire = stored.saturating_add(geometry.external_bytes);
     if wire > u64::from(u32::MAX) || geometry.decoded_bytes > u64::from(u32::MAX) {
         let found = format!("{wire} bytes on the wire and {} in memory", geometry.decoded_bytes);
-        read.notes.push((Finding::TooLarge, found));
+        read.notes.push((Finding::TooLarge, String::new(), found));
         return read;
     }
     read.wire_bytes = wire as u32;
     read.decoded_bytes = geometry.decoded_bytes as u32;
     for (slot, (variant, linear)) in read.placed.iter_mut().zip(wanted) {
         *slot = content::place(&content, &variant.up.rotation(), linear);
+        if let Some(placed) = slot
+            && (placed.bounds.min.abs().max(placed.bounds.max.abs()).max_element() > FARTHEST
+                || !placed.mean.is_finite())
+        {
+            let found = format!("vertices from {} to {}", placed.bounds.min, placed.bounds.max);
+            read.notes.push((Finding::TooFar, String::new(), found));
+            read.wire_bytes = 0;
+            return read;
+        }
     }
     let mut note = |happened: bool, finding: Finding, text: String| {
         if happened {
-            read.notes.push((finding, text));
+            read.notes.push((finding, String::new(), text));
         }
     };
     note(!content.kind.has_mesh(), Finding::NoMesh, kind_name(content.kind).to_owned());
-    note(content.kind.has_mesh() && !geometry.exact, Finding::NotExact, String::new());
+    note(content.kind.has_mesh() && (!geometry.exact || geometry.instanced), Finding::NotExact, String::new());
     note(geometry.bad_vertices > 0, Finding::BadVertices, format!("{} of them", geometry.bad_vertices));
     note(geometry.unread_images > 0, Finding::UnreadImages, format!("{} of them", geometry.unread_images));
     note(!geometry.missing_files.is_empty(), Finding::MissingFiles, geometry.missing_files.join(", "));
@@ -158,21 +172,19 @@ fn kind_name(kind: ContentKind) -> &'static str {
 
 /// One note per kind of finding for the first files, and the count of the rest.
 fn summarise(files: &[String], read: &[Read], notes: &mut Vec<Note>) {
-    let mut findings: Vec<(Finding, &String, &String)> = Vec::new();
+    let mut findings: Vec<(Finding, &String, &String, &String)> = Vec::new();
     for (file, read) in files.iter().zip(read) {
-        findings.extend(read.notes.iter().map(|(finding, text)| (*finding, file, text)));
+        findings.extend(read.notes.iter().map(|(finding, place, text)| (*finding, file, place, text)));
     }
     findings.sort();
     for group in findings.chunk_by(|a, b| a.0 == b.0) {
-        for &(finding, file, text) in group.iter().take(MAX_NOTED_FILES) {
-            let (severity, text) = finding.say(text);
-            notes.push(Note { severity, file: file.clone(), place: String::new(), text });
-        }
-        if let Some(more) = group.len().checked_sub(MAX_NOTED_FILES).filter(|&more| more > 0) {
-            let (finding, file, text) = group[MAX_NOTED_FILES];
-            let (severity, text) = finding.say(text);
-            let text = format!("{text} (and {} more like it)", more - 1);
-            notes.push(Note { severity, file: file.clone(), place: String::new(), text });
+        for (at, &(finding, file, place, text)) in group.iter().take(MAX_NOTED_FILES).enumerate() {
+            let (severity, mut text) = finding.say(text);
+            let unsaid = group.len().saturating_sub(MAX_NOTED_FILES);
+            if at + 1 == MAX_NOTED_FILES && unsaid > 0 {
+                text.push_str(&format!(" (and {unsaid} more files like it)"));
+            }
+            notes.push(Note { severity, file: file.clone(), place: place.clone(), text });
         }
     }
 }
@@ -183,12 +195,15 @@ impl Finding {
             Finding::NotThere => (Severity::Missing, format!("{text}; its tile is without it")),
             Finding::Unreadable => (Severity::Missing, format!("{text}; its tile is without it")),
             Finding::TooLarge => (Severity::Missing, format!("{text}; expected below 4 GiB, its tile is without it")),
+            Finding::TooFar => {
+                (Severity::Missing, format!("{text}; expected within {FARTHEST:e} m, its tile is without it"))
+            }
             Finding::NoMesh => {
                 (Severity::Trap, format!("{text}: bounds as declared, bytes in memory counted as those of the file"))
             }
             Finding::NotExact => (
                 Severity::Trap,
-                "vertices compressed or not readable: bounds from what the accessors declare".to_owned(),
+                "vertices compressed, instanced or not readable: bounds from what is declared".to_owned(),
             ),
             Finding::BadVertices => {
                 (Severity::Repair, format!("vertices that are not finite, {text}: left out of the bounds"))
@@ -205,6 +220,40 @@ impl Finding {
 fn vertical(at: DVec3) -> DVec3 {
     let gradient = at / DVec3::new(WGS84_A * WGS84_A, WGS84_A * WGS84_A, WGS84_B * WGS84_B);
     gradient.try_normalize().unwrap_or(DVec3::Z)
+}
+
+/// True if surfaces clearly face `axis` rather than `other`: more than half of their area goes that way, and less than
+/// half of that the other way.
+fn faces(facing: DVec3, axis: DVec3, other: DVec3) -> bool {
+    facing.dot(axis) > 0.5 && facing.dot(other).abs() < 0.5 * facing.dot(axis)
+}
+
+/// The vertical, and whether the world is Earth-centred. What is bounded by regions or lies an Earth's radius away is,
+/// unless its surfaces face z and not away from the Earth (a projected system with large northings). Elsewhere z is up,
+/// as 3D Tiles says, unless surfaces face another axis.
+fn orientation(middle: DVec3, has_region: bool, facing: DVec3, name: &str, notes: &mut Vec<Note>) -> (DVec3, bool) {
+    let mut trap = |place: &str, text: String| {
+        let (file, place) = (name.to_owned(), place.to_owned());
+        notes.push(Note { severity: Severity::Trap, file, place, text });
+    };
+    if has_region || middle.length() > PLANETARY {
+        let up = vertical(middle);
+        if has_region || !faces(facing, DVec3::Z, up) {
+            return (up, true);
+        }
+        let far = middle.length();
+        trap("", format!("{far:.0} m from the origin, but surfaces face +z: taken as projected coordinates, +z up"));
+        return (DVec3::Z, false);
+    }
+    let axes = [("+x", DVec3::X), ("-x", DVec3::NEG_X), ("+y", DVec3::Y), ("-y", DVec3::NEG_Y)];
+    if let Some((axis, up)) = axes.into_iter().find(|&(_, up)| faces(facing, up, DVec3::Z)) {
+        let percent = (100.0 * facing.dot(up)).round();
+        let text =
+            format!("up is declared z, but surfaces face {axis} ({percent} % of their area): {axis} is taken as up");
+        trap("$.asset.gltfUpAxis", text);
+        return (up, false);
+    }
+    (DVec3::Z, false)
 }
 
 struct Scene<'a> {
@@ -269,32 +318,15 @@ impl Scene<'_> {
         }
     }
 
-    /// The vertical of a world that does not lie on the Earth: z as 3D Tiles says, unless the leaves' surfaces face
-    /// another axis, more than half of their area going that way and z less than half of that.
-    fn facing(&self, leaves: &[u32], name: &str, notes: &mut Vec<Note>) -> DVec3 {
+    /// Sum of the area vectors of the leaves' surfaces over the sum of their areas: near a unit vector for terrain, near
+    /// 0 for closed bodies, NaN without triangles.
+    fn facing(&self, leaves: &[u32]) -> DVec3 {
         let (mut vector, mut area) = (DVec3::ZERO, 0.0);
         for placed in leaves.iter().filter_map(|&leaf| self.placed(leaf)) {
             vector += placed.area_vector;
             area += placed.area;
         }
-        let share = vector / area;
-        let axes = [("+x", DVec3::X), ("-x", DVec3::NEG_X), ("+y", DVec3::Y), ("-y", DVec3::NEG_Y)];
-        let best = axes.into_iter().max_by(|a, b| share.dot(a.1).total_cmp(&share.dot(b.1)));
-        match best {
-            Some((axis, up)) if share.dot(up) > 0.5 && share.z.abs() < 0.5 * share.dot(up) => {
-                let percent = (100.0 * share.dot(up)).round();
-                notes.push(Note {
-                    severity: Severity::Trap,
-                    file: name.to_owned(),
-                    place: "$.asset.gltfUpAxis".to_owned(),
-                    text: format!(
-                        "up is declared z, but surfaces face {axis} ({percent} % of their area): {axis} is taken as up"
-                    ),
-                });
-                up
-            }
-            _ => DVec3::Z,
-        }
+        vector / area
     }
 
     /// The tree, with the address of every representation.

@@ -226,7 +226,7 @@ pub(crate) fn place(content: &Content, rotation: &DMat3, linear: &DMat3) -> Opti
         sum += point;
         count += 1;
     }
-    if bounds.is_empty() {
+    if bounds.is_empty() || geometry.instanced {
         return None;
     }
     // Area vectors go by the cofactors, |det A| A⁻ᵀ; areas, where A is no similarity, by the mean scale.

@@ -6,10 +6,14 @@ use std::io::Read;
 use glam::{DMat3, DMat4, DVec3};
 use serde::Deserialize;
 use struson::reader::json_path::JsonPathPiece;
-use struson::reader::{JsonReader, JsonStreamReader, ReaderError, ReaderSettings};
+use struson::reader::{JsonReader, JsonReaderPosition, JsonStreamReader, ReaderError, ReaderSettings};
 use struson::serde::DeserializerError;
 
-use super::limits::MAX_TILES;
+use super::declared::{
+    Asset, ContentJson, ExtensionsJson, ImplicitJson, KNOWN_EXTENSIONS, VolumeJson, content, implicit, transform,
+    volume,
+};
+use super::limits::{MAX_NOTED_FILES, MAX_TILES};
 use super::volume::Volume;
 
 /// A tileset document: its tiles in preorder.
@@ -23,6 +27,8 @@ pub struct TilesetDocument {
     pub tiles: Vec<Tile>,
     /// Contents of all tiles, in their order.
     pub contents: Vec<Content>,
+    /// Extensions that a reader must know, by the document, and that this one does not.
+    pub unknown_extensions: Vec<String>,
 }
 
 /// `asset.gltfUpAxis`: the axis of the glTF contents that becomes z of the tile.
@@ -115,7 +121,17 @@ pub struct DocumentError {
 /// Reads a tileset document.
 pub fn parse_tileset(bytes: &[u8]) -> Result<TilesetDocument, DocumentError> {
     let bytes = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
-    let settings = ReaderSettings { max_nesting_depth: None, ..ReaderSettings::default() };
+    // Keeping track of the JSON path costs as much as reading: it is done only once a fault is known to be there.
+    read_document(bytes, false).or_else(|_| read_document(bytes, true))
+}
+
+fn read_document(bytes: &[u8], track_path: bool) -> Result<TilesetDocument, DocumentError> {
+    let settings = ReaderSettings {
+        max_nesting_depth: None,
+        restrict_number_values: false,
+        track_path,
+        ..ReaderSettings::default()
+    };
     let mut reader = JsonStreamReader::new_custom(bytes, settings);
     let mut document = TilesetDocument::default();
     let mut asset = false;
@@ -146,6 +162,11 @@ pub fn parse_tileset(bytes: &[u8]) -> Result<TilesetDocument, DocumentError> {
                 }
                 read_tiles(&mut reader, &mut document)?;
             }
+            "extensionsRequired" => {
+                let given: Vec<String> = value(&mut reader, "extensionsRequired")?;
+                let unknown = given.into_iter().filter(|name| !KNOWN_EXTENSIONS.contains(&name.as_str()));
+                document.unknown_extensions.extend(unknown.take(MAX_NOTED_FILES));
+            }
             _ => reader.skip_value()?,
         }
     }
@@ -162,43 +183,6 @@ pub fn parse_tileset(bytes: &[u8]) -> Result<TilesetDocument, DocumentError> {
         (_, true) => missing("root"),
         _ => Ok(document),
     }
-}
-
-#[derive(Deserialize)]
-struct Asset {
-    version: String,
-    #[serde(rename = "gltfUpAxis")]
-    gltf_up_axis: Option<String>,
-}
-
-#[derive(Deserialize)]
-#[serde(rename_all = "camelCase")]
-struct VolumeJson {
-    r#box: Option<Vec<f64>>,
-    region: Option<Vec<f64>>,
-    sphere: Option<Vec<f64>>,
-}
-
-#[derive(Deserialize)]
-#[serde(rename_all = "camelCase")]
-struct ContentJson {
-    uri: Option<String>,
-    url: Option<String>,
-    bounding_volume: Option<VolumeJson>,
-}
-
-#[derive(Deserialize)]
-#[serde(rename_all = "camelCase")]
-struct ImplicitJson {
-    subdivision_scheme: String,
-    subtree_levels: u32,
-    available_levels: u32,
-    subtrees: SubtreesJson,
-}
-
-#[derive(Deserialize)]
-struct SubtreesJson {
-    uri: String,
 }
 
 /// What the reader is inside of.
@@ -323,6 +307,17 @@ fn read_member<R: Read>(
                 unfinished.contents.push(content);
             }
         }
+        "extensions" => {
+            let given: ExtensionsJson = value(reader, "extensions")?;
+            if let Some(given) = given.implicit {
+                let tiling = implicit(given).map_err(|text| member_fault(reader, "extensions", text))?;
+                tile.implicit = Some(Box::new(tiling));
+            }
+            for given in given.contents.into_iter().flat_map(|given| given.contents) {
+                let content = content(given).map_err(|text| member_fault(reader, "extensions", text))?;
+                unfinished.contents.push(content);
+            }
+        }
         "implicitTiling" => {
             let given: ImplicitJson = value(reader, "implicitTiling")?;
             let tiling = implicit(given).map_err(|text| member_fault(reader, "implicitTiling", text))?;
@@ -363,83 +358,8 @@ fn close<R: Read>(
     Ok(())
 }
 
-fn volume(given: &VolumeJson) -> Result<Volume, String> {
-    let numbers = |name: &str, values: &[f64], count: usize| {
-        if values.len() == count && values.iter().all(|value| value.is_finite()) {
-            return Ok(());
-        }
-        Err(format!("{name} with {} numbers; expected {count}, all finite", values.len()))
-    };
-    if let Some(values) = &given.r#box {
-        numbers("box", values, 12)?;
-        let column = |at: usize| DVec3::from_slice(&values[at..at + 3]);
-        return Ok(Volume::Box { centre: column(0), half_axes: DMat3::from_cols(column(3), column(6), column(9)) });
-    }
-    if let Some(values) = &given.region {
-        numbers("region", values, 6)?;
-        let [_, south, _, north, low, high] = [values[0], values[1], values[2], values[3], values[4], values[5]];
-        let quarter = core::f64::consts::FRAC_PI_2 + 1e-9;
-        if !(-quarter <= south && south <= north && north <= quarter && low <= high) {
-            return Err(format!("region {values:?}; expected −π/2 ≤ south ≤ north ≤ π/2 and heights in order"));
-        }
-        if values[0].abs() > 7.0 || values[2].abs() > 7.0 {
-            return Err(format!("region {values:?}; expected longitudes in radians"));
-        }
-        return Ok(Volume::Region([values[0], south, values[2], north, low, high]));
-    }
-    if let Some(values) = &given.sphere {
-        numbers("sphere", values, 4)?;
-        if values[3] < 0.0 {
-            return Err(format!("sphere with the radius {}; expected one that is not negative", values[3]));
-        }
-        return Ok(Volume::Sphere { centre: DVec3::from_slice(&values[..3]), radius: values[3] });
-    }
-    Err("neither \"box\", \"region\" nor \"sphere\"; expected one of them".to_owned())
-}
-
-fn transform(values: &[f64]) -> Result<DMat4, String> {
-    let values: &[f64; 16] =
-        values.try_into().map_err(|_| format!("{} numbers; expected 16, column by column", values.len()))?;
-    if let Some(bad) = values.iter().find(|value| !value.is_finite()) {
-        return Err(format!("{bad}; expected finite numbers"));
-    }
-    let matrix = DMat4::from_cols_array(values);
-    if (matrix.row(3) - glam::DVec4::W).abs().max_element() > 1e-9 {
-        return Err(format!("last row {}; expected an affine transform, [0, 0, 0, 1]", matrix.row(3)));
-    }
-    Ok(matrix)
-}
-
-fn content(given: ContentJson) -> Result<Content, String> {
-    let uri = given.uri.or(given.url).ok_or("no member \"uri\"; expected the content's address")?;
-    let volume = given.bounding_volume.as_ref().map(volume).transpose()?;
-    Ok(Content { uri, volume })
-}
-
-fn implicit(given: ImplicitJson) -> Result<ImplicitTiling, String> {
-    let branching = match given.subdivision_scheme.as_str() {
-        "QUADTREE" => 4,
-        "OCTREE" => 8,
-        other => return Err(format!("subdivisionScheme {other:?}; expected \"QUADTREE\" or \"OCTREE\"")),
-    };
-    let most = if branching == 4 { 12 } else { 8 };
-    if !(1..=most).contains(&given.subtree_levels) {
-        return Err(format!("subtreeLevels {}; expected 1 to {most}", given.subtree_levels));
-    }
-    if !(1..=30).contains(&given.available_levels) {
-        return Err(format!("availableLevels {}; expected 1 to 30", given.available_levels));
-    }
-    Ok(ImplicitTiling {
-        branching,
-        subtree_levels: given.subtree_levels,
-        available_levels: given.available_levels,
-        subtrees: given.subtrees.uri,
-    })
-}
-
-/// Where the reader is: a JSON path, then line and column.
-fn place<R: Read>(reader: &JsonStreamReader<R>) -> (String, String) {
-    let position = reader.current_position(true);
+/// A position as a JSON path, and as line and column.
+fn place(position: &JsonReaderPosition) -> (String, String) {
     let mut path = "$".to_owned();
     for piece in position.path.iter().flatten() {
         match piece {
@@ -475,28 +395,39 @@ fn value<R: Read, T: for<'a> Deserialize<'a>>(
 }
 
 fn fault<R: Read>(reader: &JsonStreamReader<R>, text: impl Display) -> DocumentError {
-    let (path, line) = place(reader);
+    let (path, line) = place(&reader.current_position(true));
     DocumentError { place: format!("{}{line}", shortened(&path)), fault: text.to_string() }
 }
 
 /// A fault in the tile's member that was read last.
 fn member_fault<R: Read>(reader: &JsonStreamReader<R>, member: &str, text: impl Display) -> DocumentError {
-    let (path, line) = place(reader);
+    let (path, line) = place(&reader.current_position(true));
     let end = path.rfind(&format!(".{member}")).unwrap_or(path.len());
     DocumentError { place: format!("{}.{member}{line}", shortened(&path[..end])), fault: text.to_string() }
 }
 
 /// A fault in the tile whose last member was read.
 fn tile_fault<R: Read>(reader: &JsonStreamReader<R>, text: &str) -> DocumentError {
-    let (path, line) = place(reader);
+    let (path, line) = place(&reader.current_position(true));
     let parent = path.rsplit_once('.').map_or(path.as_str(), |(parent, _)| parent);
     DocumentError { place: format!("{}{line}", shortened(parent)), fault: text.to_owned() }
 }
 
 impl From<ReaderError> for DocumentError {
     fn from(error: ReaderError) -> DocumentError {
-        let text = error.to_string();
-        let (fault, place) = text.rsplit_once(" at ").unwrap_or((text.as_str(), ""));
-        DocumentError { place: shortened(place), fault: format!("{fault}; expected JSON of a 3D Tiles tileset") }
+        let (found, location) = match &error {
+            ReaderError::SyntaxError(error) => (format!("{}", error.kind), &error.location),
+            ReaderError::UnexpectedValueType { expected, actual, location } => {
+                (format!("{actual} where there must be {expected}"), location)
+            }
+            ReaderError::UnexpectedStructure { kind, location } => (kind.to_string(), location),
+            ReaderError::MaxNestingDepthExceeded { location, .. } => ("nested too deeply".to_owned(), location),
+            ReaderError::UnsupportedNumberValue { number, location } => (format!("the number {number}"), location),
+            ReaderError::IoError { error, location } => (error.to_string(), location),
+            other => return DocumentError { place: "$".to_owned(), fault: shortened(&other.to_string()) },
+        };
+        let (path, line) = place(location);
+        let fault = format!("{}; expected JSON of a 3D Tiles tileset", shortened(&found));
+        DocumentError { place: format!("{}{line}", shortened(&path)), fault }
     }
 }

@@ -1,6 +1,8 @@
 //! Implicit tiling: a tile that stands for a whole quadtree or octree is replaced by the tiles that its subtrees
 //! declare.
 
+use std::collections::BTreeMap;
+
 use glam::{DMat3, DVec3};
 
 use super::document::{Content, ImplicitTiling, Tile, TilesetDocument};
@@ -129,10 +131,47 @@ struct Waiting {
     morton: u64,
 }
 
+/// The subtrees read so far.
+struct Subtrees<'a> {
+    tiling: &'a ImplicitTiling,
+    fetch: &'a dyn Fn(&str) -> Option<Vec<u8>>,
+    read: Vec<Subtree>,
+    /// By address: a template without coordinates does not make one file be read again and again.
+    known: BTreeMap<String, usize>,
+}
+
+impl Subtrees<'_> {
+    /// Index in `read` of the subtree at a place.
+    fn at(&mut self, at: Coordinates) -> Result<usize, ImplicitError> {
+        let uri = at.fill(&self.tiling.subtrees);
+        if let Some(&index) = self.known.get(&uri) {
+            return Ok(index);
+        }
+        let Some(bytes) = (self.fetch)(&uri) else {
+            return Err(ImplicitError::NoSubtree { uri });
+        };
+        let folder = uri.rfind('/').map_or("", |end| &uri[..=end]);
+        let fetch = |buffer: &str| (self.fetch)(&format!("{folder}{buffer}"));
+        let parsed = parse_subtree(&bytes, self.tiling.branching, self.tiling.subtree_levels, &fetch);
+        let subtree = match parsed {
+            Ok(subtree) => subtree,
+            Err(source) => return Err(ImplicitError::Subtree { uri, source }),
+        };
+        if !subtree.tiles.get(0) {
+            return Err(ImplicitError::NoTop { uri });
+        }
+        self.read.push(subtree);
+        self.known.insert(uri, self.read.len() - 1);
+        Ok(self.read.len() - 1)
+    }
+}
+
 impl Expansion<'_> {
     fn run(mut self) -> Result<(), ImplicitError> {
         let top = Coordinates { level: 0, x: 0, y: 0, z: 0 };
-        let mut subtrees = vec![self.read(top)?];
+        let mut subtrees =
+            Subtrees { tiling: self.tiling, fetch: self.fetch, read: Vec::new(), known: BTreeMap::new() };
+        subtrees.at(top)?;
         let mut waiting = vec![Waiting {
             at: top,
             parent: self.root.parent,
@@ -148,7 +187,7 @@ impl Expansion<'_> {
             }
             let index = tiles_in(branching, tile.level) + tile.morton;
             let parent = self.out.tiles.len() as u32;
-            self.write(&tile, &subtrees[tile.subtree], index);
+            self.write(&tile, &subtrees.read[tile.subtree], index);
             // Pushed last to first, so that they are written first to last.
             for child in (0..u64::from(branching)).rev() {
                 let at = tile.at.child(child);
@@ -158,10 +197,9 @@ impl Expansion<'_> {
                 let (level, morton) = (tile.level + 1, tile.morton * u64::from(branching) + child);
                 let below = if level < self.tiling.subtree_levels {
                     let bit = tiles_in(branching, level) + morton;
-                    subtrees[tile.subtree].tiles.get(bit).then_some((tile.subtree, level, morton))
-                } else if subtrees[tile.subtree].child_subtrees.get(morton) {
-                    subtrees.push(self.read(at)?);
-                    Some((subtrees.len() - 1, 0, 0))
+                    subtrees.read[tile.subtree].tiles.get(bit).then_some((tile.subtree, level, morton))
+                } else if subtrees.read[tile.subtree].child_subtrees.get(morton) {
+                    Some((subtrees.at(at)?, 0, 0))
                 } else {
                     None
                 };
@@ -171,24 +209,6 @@ impl Expansion<'_> {
             }
         }
         Ok(())
-    }
-
-    fn read(&mut self, at: Coordinates) -> Result<Subtree, ImplicitError> {
-        let uri = at.fill(&self.tiling.subtrees);
-        let Some(bytes) = (self.fetch)(&uri) else {
-            return Err(ImplicitError::NoSubtree { uri });
-        };
-        let folder = uri.rfind('/').map_or("", |end| &uri[..=end]);
-        let fetch = |buffer: &str| (self.fetch)(&format!("{folder}{buffer}"));
-        let parsed = parse_subtree(&bytes, self.tiling.branching, self.tiling.subtree_levels, &fetch);
-        let subtree = match parsed {
-            Ok(subtree) => subtree,
-            Err(source) => return Err(ImplicitError::Subtree { uri, source }),
-        };
-        if !subtree.tiles.get(0) {
-            return Err(ImplicitError::NoTop { uri });
-        }
-        Ok(subtree)
     }
 
     fn write(&mut self, tile: &Waiting, subtree: &Subtree, index: u64) {

@@ -24,6 +24,8 @@ pub(crate) struct Geometry {
     pub(crate) points: Vec<DVec3>,
     /// True if `points` are the vertices themselves.
     pub(crate) exact: bool,
+    /// True if a mesh is drawn at places that are not looked at: `points` do not bound it.
+    pub(crate) instanced: bool,
     /// Σ over the triangles of ½ (b − a) × (c − a): their area and where they face, m².
     pub(crate) area_vector: DVec3,
     /// Σ of the triangles' areas, m².
@@ -96,13 +98,11 @@ impl Asset<'_> {
     fn images(&mut self, fetch: &dyn Fn(&str) -> Option<Vec<u8>>, geometry: &mut Geometry) {
         let mut shown = BTreeSet::new();
         for texture in &self.root.textures {
-            shown.insert(texture.source.value());
+            // An extension's image (WebP, KTX2) is shown in place of the fallback.
             let extensions = texture.extensions.iter().flat_map(|extensions| extensions.others.values());
-            for source in extensions.filter_map(|extension| extension.get("source")?.as_u64()) {
-                // The extension's image is shown in place of the fallback.
-                shown.remove(&texture.source.value());
-                shown.insert(usize::try_from(source).unwrap_or(usize::MAX));
-            }
+            let extended =
+                extensions.filter_map(|extension| usize::try_from(extension.get("source")?.as_u64()?).ok()).next();
+            shown.insert(extended.unwrap_or(texture.source.value()));
         }
         for image in shown.into_iter().filter_map(|index| self.root.images.get(index)) {
             let fetched;
@@ -185,6 +185,9 @@ impl Asset<'_> {
             let transform = above * local(node);
             if !transform.is_finite() {
                 return Err(ContentError::new(place(), "a transform that is not finite; expected numbers".to_owned()));
+            }
+            if node.extensions.iter().any(|extensions| extensions.others.contains_key("EXT_mesh_gpu_instancing")) {
+                geometry.instanced = true;
             }
             if let Some(mesh) = node.mesh {
                 let Some(mesh) = root.meshes.get(mesh.value()) else {

@@ -5,6 +5,7 @@
 
 mod assemble;
 mod content;
+mod declared;
 mod document;
 mod implicit;
 mod limits;
@@ -29,7 +30,7 @@ pub use subtree::{Bits, Subtree, SubtreeError, parse_subtree};
 pub use volume::Volume;
 
 use crate::manifest::{self, ManifestError};
-use crate::world::{World, WorldKind};
+use crate::world::{Note, Severity, World, WorldKind};
 
 /// Why a tileset cannot be opened.
 #[derive(Debug, thiserror::Error)]
@@ -120,7 +121,7 @@ pub enum Tiles3dError {
 
 /// Opens the world whose root tileset is `file`. A `manifest.json` of a mosaic beside it is followed.
 pub fn open(file: &Path) -> Result<World, Tiles3dError> {
-    Ok(load(file)?.world)
+    Ok(load(file, MAX_TILES)?.world)
 }
 
 /// A world with the files that it was read from, relative to its folder, in order.
@@ -132,11 +133,14 @@ pub(crate) struct Loaded {
     pub(crate) root_error: f64,
     /// Up axis of the root document.
     pub(crate) gltf_up: GltfUp,
+    /// Version of the root document.
+    pub(crate) version: String,
     /// File of the first representation.
     pub(crate) coarse_file: String,
 }
 
-pub(crate) fn load(file: &Path) -> Result<Loaded, Tiles3dError> {
+/// Opens a tileset of `most` tiles at most.
+pub(crate) fn load(file: &Path, most: usize) -> Result<Loaded, Tiles3dError> {
     let path = file.parent().map_or_else(PathBuf::new, Path::to_path_buf);
     let unnamed = || std::io::Error::new(std::io::ErrorKind::InvalidInput, "not the name of a file");
     let Some(name) = file.file_name().and_then(|name| name.to_str()) else {
@@ -153,10 +157,18 @@ pub(crate) fn load(file: &Path) -> Result<Loaded, Tiles3dError> {
     };
     let kind = if manifest.is_some() { WorldKind::Mosaic } else { WorldKind::Tiles3d };
     let folder = resolve::Folder { path, manifest };
-    let walked = walk::Walk::run(&folder, name)?;
-    let (root_error, gltf_up) = (walked.root_error, walked.gltf_up);
+    let walked = walk::Walk::run(&folder, name, most)?;
+    let (root_error, gltf_up, version) = (walked.root_error, walked.gltf_up, walked.version.clone());
     let (mut world, mut files) = assemble::assemble(&folder, name, walked)?;
     world.kind = kind;
+    if let Some(manifest) = folder.manifest.as_ref().filter(|manifest| !manifest.stand_ins.is_empty()) {
+        let text = format!(
+            "{} tiles are synthetic: a content stands in for each, and only its size is meant",
+            manifest.stand_ins.len()
+        );
+        let file = "manifest.json".to_owned();
+        world.notes.push(Note { severity: Severity::Trap, file, place: "$.stand_ins".to_owned(), text });
+    }
     let stem = if name == "tileset.json" { named_folder(&folder.path) } else { None };
     world.name = stem
         .unwrap_or_else(|| Path::new(name).file_stem().map_or_else(String::new, |s| s.to_string_lossy().into_owned()));
@@ -166,7 +178,7 @@ pub(crate) fn load(file: &Path) -> Result<Loaded, Tiles3dError> {
         resolve::Target::File { file, .. } => file,
         resolve::Target::Elsewhere | resolve::Target::Outside => String::new(),
     };
-    Ok(Loaded { world, files, folder: folder.path, root_error, gltf_up, coarse_file })
+    Ok(Loaded { world, files, folder: folder.path, root_error, gltf_up, version, coarse_file })
 }
 
 /// The name of a folder, found even if it was given as `.`.

@@ -1,7 +1,12 @@
 //! From the addresses in a tileset to files in its folder.
 
+use std::fs::File;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
+use flate2::read::MultiGzDecoder;
+
+use super::limits::MAX_INFLATED;
 use crate::manifest::Manifest;
 
 /// The folder of a root tileset, with the manifest beside it if there is one.
@@ -43,9 +48,25 @@ impl Folder {
         Target::File { file, stand_in }
     }
 
-    /// The whole content of a file of the folder.
+    /// The whole content of a file of the folder, inflated if it is stored as gzip.
     pub(crate) fn read(&self, file: &str) -> std::io::Result<Vec<u8>> {
-        std::fs::read(self.at(file))
+        Ok(self.read_stored(file)?.0)
+    }
+
+    /// As [`Folder::read`], with the bytes that the file has as it is stored and sent.
+    pub(crate) fn read_stored(&self, file: &str) -> std::io::Result<(Vec<u8>, u64)> {
+        let stored = std::fs::read(self.at(file))?;
+        let length = stored.len() as u64;
+        if !stored.starts_with(b"\x1F\x8B") {
+            return Ok((stored, length));
+        }
+        let mut bytes = Vec::new();
+        MultiGzDecoder::new(stored.as_slice()).take(MAX_INFLATED + 1).read_to_end(&mut bytes)?;
+        if bytes.len() as u64 > MAX_INFLATED {
+            let text = format!("gzip of more than {MAX_INFLATED} bytes; expected at most that");
+            return Err(std::io::Error::new(std::io::ErrorKind::InvalidData, text));
+        }
+        Ok((bytes, length))
     }
 
     /// Where a file of the folder lies.
@@ -53,11 +74,29 @@ impl Folder {
         self.path.join(Path::new(file))
     }
 
-    /// Reads what `uri` names in a document at `base`; `None` if it is not a file of the folder.
-    pub(crate) fn fetch(&self, base: &str, uri: &str) -> Option<Vec<u8>> {
+    /// Reads what `uri` names in a document at `base`: the file and its bytes. `None` if it is not a file of the folder.
+    pub(crate) fn fetch(&self, base: &str, uri: &str) -> Option<(String, Vec<u8>)> {
         match self.resolve(base, uri) {
-            Target::File { file, .. } => self.read(&file).ok(),
+            Target::File { file, .. } => {
+                let bytes = self.read(&file).ok()?;
+                Some((file, bytes))
+            }
             Target::Elsewhere | Target::Outside => None,
+        }
+    }
+
+    /// True for a tileset: by its name, or where the name says nothing by a first byte that begins JSON.
+    pub(crate) fn is_document(&self, file: &str) -> bool {
+        let extension = Path::new(file).extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
+        match extension.as_deref() {
+            Some("json") => true,
+            Some("b3dm" | "glb" | "gltf" | "i3dm" | "pnts" | "cmpt") => false,
+            _ => {
+                let mut first = [0];
+                let read = File::open(self.at(file)).and_then(|mut file| file.read_exact(&mut first));
+                // JSON, or gzip, in which there is JSON rather than a content without an extension.
+                read.is_ok() && matches!(first, [b'{' | 0x1F])
+            }
         }
     }
 }

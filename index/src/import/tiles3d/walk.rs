@@ -1,8 +1,8 @@
 //! From tileset documents to one list of nodes: external tilesets are read once and instanced, refinement and
 //! transforms are inherited, contents are resolved to files.
 
+use std::cell::RefCell;
 use std::collections::BTreeMap;
-use std::path::Path;
 
 use foresight_scheduler::lod_tree::Aabb;
 use glam::{DMat3, DMat4, DVec3};
@@ -10,7 +10,7 @@ use glam::{DMat3, DMat4, DVec3};
 use super::Tiles3dError;
 use super::document::{self, Content, DocumentError, GltfUp, Refine, Tile, TilesetDocument};
 use super::implicit;
-use super::limits::{MAX_EXTERNAL_DEPTH, MAX_NOTED_FILES, MAX_TILES};
+use super::limits::{MAX_EXTERNAL_DEPTH, MAX_NOTED_FILES};
 use super::resolve::{Folder, Target, folder_of};
 use super::volume::{Volume, largest_scale};
 use crate::uris::UriTableBuilder;
@@ -68,6 +68,8 @@ pub(crate) struct Walked {
     pub(crate) root_error: f64,
     /// Up axis of the root document.
     pub(crate) gltf_up: GltfUp,
+    /// Version of the root document.
+    pub(crate) version: String,
 }
 
 /// A document, read and expanded.
@@ -124,11 +126,13 @@ pub(crate) struct Walk<'a> {
     last_linear: Option<([u64; 9], u32)>,
     variant_of: BTreeMap<Variant, u32>,
     stack: Vec<Frame>,
+    missing: usize,
+    most: usize,
 }
 
 impl<'a> Walk<'a> {
-    /// Walks the tileset `name` in `folder` and all that it includes.
-    pub(crate) fn run(folder: &'a Folder, name: &str) -> Result<Walked, Tiles3dError> {
+    /// Walks the tileset `name` in `folder` and all that it includes, `most` nodes at most.
+    pub(crate) fn run(folder: &'a Folder, name: &str, most: usize) -> Result<Walked, Tiles3dError> {
         let mut walk = Walk {
             folder,
             out: Walked::default(),
@@ -140,11 +144,19 @@ impl<'a> Walk<'a> {
             last_linear: None,
             variant_of: BTreeMap::new(),
             stack: Vec::new(),
+            missing: 0,
+            most,
         };
         let bytes = folder.read(name).map_err(|source| Tiles3dError::Io { file: folder.at(name), source })?;
         let root = walk.load(name, "", &bytes)?;
         let document = &walk.documents[root as usize].document;
+        if document.tiles[0].refine.is_none() {
+            let (file, place) = (name.to_owned(), "$.root.refine".to_owned());
+            let text = "not given, though the root's must be: taken as REPLACE".to_owned();
+            walk.out.notes.push(Note { severity: Severity::Repair, file, place, text });
+        }
         (walk.out.root_error, walk.out.gltf_up) = (document.tiles[0].geometric_error, document.gltf_up);
+        walk.out.version = document.version.clone();
         let above = Above { node: NONE, transform: DMat4::IDENTITY, refine: Refine::Replace };
         walk.enter(root, String::new(), above, Vec::new())?;
         while let Some(mut frame) = walk.stack.pop() {
@@ -154,6 +166,15 @@ impl<'a> Walk<'a> {
                 walk.tile(frame, tile)?;
             }
         }
+        if walk.missing > MAX_NOTED_FILES {
+            let text = format!("{} more contents or tilesets are missing", walk.missing - MAX_NOTED_FILES);
+            walk.out.notes.push(Note {
+                severity: Severity::Missing,
+                file: name.to_owned(),
+                place: String::new(),
+                text,
+            });
+        }
         Ok(walk.out)
     }
 
@@ -162,11 +183,22 @@ impl<'a> Walk<'a> {
         let place = || self.folder.at(file);
         let document = document::parse_tileset(bytes)
             .map_err(|source: DocumentError| Tiles3dError::Document { file: place(), source })?;
-        let fetch = |uri: &str| self.folder.fetch(base, uri);
+        let subtrees = RefCell::new(Vec::new());
+        let fetch = |uri: &str| {
+            let (file, bytes) = self.folder.fetch(base, uri)?;
+            subtrees.borrow_mut().push(file);
+            Some(bytes)
+        };
         let document = implicit::expand(document, &fetch)
             .map_err(|source| Tiles3dError::Implicit { file: place(), source: Box::new(source) })?;
         self.out.has_region |= document.tiles.iter().any(|tile| matches!(tile.volume, Volume::Region(_)));
         self.out.other_files.push(file.to_owned());
+        self.out.other_files.append(&mut subtrees.take());
+        for name in &document.unknown_extensions {
+            let text = format!("needs the extension {name:?}, which is not read: what it says is not there");
+            let place = "$.extensionsRequired".to_owned();
+            self.out.notes.push(Note { severity: Severity::Trap, file: file.to_owned(), place, text });
+        }
         let id = self.documents.len() as u32;
         self.documents.push(Loaded { file: file.to_owned(), document });
         self.document_of.insert(file.to_owned(), id);
@@ -211,14 +243,14 @@ impl<'a> Walk<'a> {
             Target::Elsewhere => {
                 let text =
                     format!("{:?} lies on another host or inline; its tile is without it", document::shortened(uri));
-                self.note(Note { severity: Severity::Missing, file: within, place: String::new(), text });
+                self.missing(within, text);
                 return Ok(Link::Nothing);
             }
             Target::Outside => {
                 return Err(Tiles3dError::Outside { file: self.folder.at(&within), uri: document::shortened(uri) });
             }
         };
-        if !self.is_document(&file) {
+        if !self.folder.is_document(&file) {
             let tail = self.out.uris.intern(uri);
             let next = self.file_of.len() as u32;
             let id = *self.file_of.entry(file.clone()).or_insert(next);
@@ -237,20 +269,17 @@ impl<'a> Walk<'a> {
             }
             Err(error) => {
                 let text = format!("external tileset, {error}; the world is without it");
-                self.note(Note { severity: Severity::Missing, file, place: String::new(), text });
+                self.missing(file, text);
                 Ok(Link::Nothing)
             }
         }
     }
 
-    /// True for a tileset: by its name, which is all that there is before it is read.
-    fn is_document(&self, file: &str) -> bool {
-        Path::new(file).extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"))
-    }
-
-    fn note(&mut self, note: Note) {
-        if self.out.notes.len() < MAX_NOTED_FILES && !self.out.notes.contains(&note) {
-            self.out.notes.push(note);
+    /// Notes something that is missing; after the first few it is only counted.
+    fn missing(&mut self, file: String, text: String) {
+        self.missing += 1;
+        if self.missing <= MAX_NOTED_FILES {
+            self.out.notes.push(Note { severity: Severity::Missing, file, place: String::new(), text });
         }
     }
 
@@ -354,8 +383,8 @@ impl<'a> Walk<'a> {
     }
 
     fn push(&mut self, node: Placement) -> Result<u32, Tiles3dError> {
-        if self.out.nodes.len() >= MAX_TILES {
-            return Err(Tiles3dError::TooMany { limit: MAX_TILES });
+        if self.out.nodes.len() >= self.most {
+            return Err(Tiles3dError::TooMany { limit: self.most });
         }
         self.out.nodes.push(node);
         Ok(self.out.nodes.len() as u32 - 1)
