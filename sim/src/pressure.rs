@@ -60,7 +60,7 @@ fn finest(tree: &LodTree, leaf: NodeId) -> Option<RepId> {
 /// Needs of a whole flight.
 #[derive(Clone, Debug, Default)]
 pub struct Needs {
-    /// One a frame, in order of id, each once.
+    /// One a frame, each representation once, in the order of the cut.
     pub frames: Vec<Vec<RepId>>,
     /// Wire bytes of the union of all.
     pub union_bytes: u64,
@@ -72,20 +72,21 @@ impl Needs {
     /// Works out the needs of every frame.
     pub fn new(tree: &LodTree, cuts: &[Cut]) -> Needs {
         let mut needs = Needs::default();
-        let mut in_union = vec![false; tree.representations()];
-        for cut in cuts {
+        // Frame in which each representation was last needed.
+        let mut needed_in = vec![u32::MAX; tree.representations()];
+        for (number, cut) in cuts.iter().enumerate() {
             let mut frame = Vec::new();
-            for_each_needed(tree, cut, |rep| frame.push(rep));
-            frame.sort_unstable();
-            frame.dedup();
             let mut decoded = 0;
-            for &rep in &frame {
-                decoded += tree.decoded_bytes(rep);
-                if !in_union[rep.index()] {
-                    in_union[rep.index()] = true;
+            for_each_needed(tree, cut, |rep| {
+                let before = core::mem::replace(&mut needed_in[rep.index()], number as u32);
+                if before != number as u32 {
+                    frame.push(rep);
+                    decoded += tree.decoded_bytes(rep);
+                }
+                if before == u32::MAX {
                     needs.union_bytes += tree.wire_bytes(rep);
                 }
-            }
+            });
             needs.largest_bytes = needs.largest_bytes.max(decoded);
             needs.frames.push(frame);
         }

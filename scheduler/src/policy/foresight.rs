@@ -56,7 +56,8 @@ pub struct ForesightSettings {
     pub samples: usize,
     /// How the cuts are made: opening angle, near plane, centre weighting κ.
     pub cut: CutSettings,
-    /// See [`HorizonSettings::tolerance`], sr.
+    /// Groups are opened until what could be gained beneath is this share of the gain of a typical choice. Where every
+    /// choice is worth much, little things are not looked at; where only little things are left, they are.
     pub tolerance: f64,
     /// Limits of the client's motion.
     pub reach: Reach,
@@ -81,18 +82,21 @@ impl Default for ForesightSettings {
             hysteresis: 0.1,
             attenuation: 0.0,
             request_cost_s: 0.0,
-            samples: 6,
+            samples: 4,
             cut: CutSettings { opening: 0.3, near: 0.1, centre_falloff: 0.0 },
-            tolerance: 2e-5,
+            tolerance: 0.1,
             reach: Reach::default(),
             discards: Discards::Planned,
             gains_from_arrival: true,
             cover_first: true,
-            slack_s: 0.1,
+            slack_s: 0.05,
             predictor: PredictorKind::Mixture,
         }
     }
 }
+
+/// Least and greatest gain beneath a group, share of a steradian, at which it is not opened.
+const TOLERANCES: (f64, f64) = (1e-7, 2e-3);
 
 /// Candidates whose discards are worked out for one decision; the rest are worse even without any loss.
 const SWAPS_WEIGHED: usize = 12;
@@ -122,6 +126,7 @@ impl PartialOrd for Candidate {
 #[derive(Clone, Debug)]
 struct Choice {
     ratio: f64,
+    gain: f64,
     rep: RepId,
     members: Vec<RepId>,
     discards: Vec<RepId>,
@@ -153,6 +158,8 @@ pub struct Foresight {
     touched: Vec<RepId>,
     covered: bool,
     mean_fetch_bytes: f64,
+    /// Running mean of the gains of what was chosen; halved when nothing was found to gain.
+    typical_gain: f64,
 }
 
 impl Foresight {
@@ -186,6 +193,7 @@ impl Foresight {
             touched: Vec::new(),
             covered: false,
             mean_fetch_bytes: 0.0,
+            typical_gain: 5e-3,
         }
     }
 
@@ -224,8 +232,12 @@ impl Foresight {
             paths.push(crate::predict::PredictedPath { weight: 1.0, views: vec![view; n] });
         }
         let region = s.reach.region(self.motion.percentile(), epsilon);
-        let horizon =
-            HorizonSettings { alpha: s.alpha, attenuation: s.attenuation, tolerance: s.tolerance, cut: s.cut };
+        let horizon = HorizonSettings {
+            alpha: s.alpha,
+            attenuation: s.attenuation,
+            tolerance: (s.tolerance * self.typical_gain).clamp(TOLERANCES.0, TOLERANCES.1),
+            cut: s.cut,
+        };
         self.horizon.make(tree, plan, &paths, &bounds, (&view, region), &horizon);
         self.sampled = Some(now);
         self.uses += 1;
@@ -391,7 +403,7 @@ impl Foresight {
             let free = state.free_bytes();
             if need <= free {
                 if best.as_ref().is_none_or(|b| ratio > b.ratio) {
-                    best = Some(Choice { ratio, rep: top.rep, members, discards: Vec::new() });
+                    best = Some(Choice { ratio, gain, rep: top.rep, members, discards: Vec::new() });
                 } else {
                     passed_over.push(Candidate { ratio, rep: top.rep });
                 }
@@ -404,7 +416,7 @@ impl Foresight {
                     let net = (gain - loss) / cost;
                     let candidate = Candidate { ratio: net, rep: top.rep };
                     if best.as_ref().is_none_or(|b| net > b.ratio) {
-                        if let Some(b) = best.replace(Choice { ratio: net, rep: top.rep, members, discards }) {
+                        if let Some(b) = best.replace(Choice { ratio: net, gain, rep: top.rep, members, discards }) {
                             passed_over.push(Candidate { ratio: b.ratio, rep: b.rep });
                         }
                     } else {
@@ -492,6 +504,11 @@ impl Foresight {
         best
     }
 
+    /// Whether what is outstanding takes longer than a reuse period.
+    fn lasts(&self, state: &ClientState) -> bool {
+        state.outstanding_bytes() as f64 > state.link.rate() * self.settings.reuse_s
+    }
+
     /// A request that has lost its point: nothing gained by it any more, or far less than by the best candidate.
     fn pointless_request(&mut self, state: &ClientState, plan: &Coverage, now: Time) -> Option<RepId> {
         let asked: u64 = state.requests().iter().map(|r| state.tree.wire_bytes(r.rep)).sum();
@@ -512,24 +529,24 @@ impl Foresight {
         if state.view.is_none() {
             return wait;
         }
+        if let Some(action) = self.committed.pop_front() {
+            return action;
+        }
+        let link = &state.link;
+        let full = !state.requests().is_empty()
+            && state.outstanding_bytes() as f64 >= link.rate() * (link.latency_s() + self.settings.slack_s);
         let due = self.sampled.is_none_or(|t| now.since(t).secs() >= self.settings.reuse_s);
+        // With the pipeline full nothing can be requested; only a request that lasts may have lost its point.
         if due {
             self.sample(state, plan, now);
             if let Some(rep) = self.pointless_request(state, plan, now) {
                 // What the request had doomed stays: read the plan anew.
                 self.plan = None;
                 self.sampled = None;
-                self.committed.clear();
                 return Action::Cancel(rep);
             }
         }
-        if let Some(action) = self.committed.pop_front() {
-            return action;
-        }
-        let link = &state.link;
-        if !state.requests().is_empty()
-            && state.outstanding_bytes() as f64 >= link.rate() * (link.latency_s() + self.settings.slack_s)
-        {
+        if full {
             return wait;
         }
         if self.settings.cover_first && !self.covered {
@@ -538,7 +555,13 @@ impl Foresight {
             }
             self.covered = true;
         }
-        let Some(choice) = self.choose(state, plan, now) else { return wait };
+        let Some(choice) = self.choose(state, plan, now) else {
+            if due {
+                self.typical_gain = (0.5 * self.typical_gain).max(TOLERANCES.0);
+            }
+            return wait;
+        };
+        self.typical_gain += 0.1 * (choice.gain - self.typical_gain);
         self.commit(state, choice)
     }
 
