@@ -12,6 +12,7 @@
 //! exact because they only fall while the resident set grows.
 
 use super::Policy;
+use crate::benefit::accuracy::accuracy;
 use crate::benefit::coverage::{Coverage, Refinement};
 use crate::benefit::cut::CutSettings;
 use crate::lod_tree::{NodeId, RepId};
@@ -106,6 +107,10 @@ const SWAPS_WEIGHED: usize = 12;
 struct Candidate {
     ratio: f64,
     rep: RepId,
+    /// ΔJ, as of `seen`.
+    gain: f64,
+    /// How many changes of the plan the evaluation knew; `None` before the first.
+    seen: Option<usize>,
 }
 
 impl Eq for Candidate {}
@@ -144,6 +149,10 @@ pub struct Foresight {
     motion: Motion,
     horizon: Horizon,
     sampled: Option<Time>,
+    /// Outstanding when the objective was sampled.
+    queued_bytes: u64,
+    /// Nodes at which the plan has changed since.
+    changes: Vec<NodeId>,
     candidates: BinaryHeap<Candidate>,
     victims: Victims,
     victims_known: bool,
@@ -182,6 +191,8 @@ impl Foresight {
             motion: Motion::default(),
             horizon: Horizon::default(),
             sampled: None,
+            queued_bytes: 0,
+            changes: Vec::new(),
             candidates: BinaryHeap::new(),
             victims: Victims::default(),
             victims_known: false,
@@ -203,16 +214,17 @@ impl Foresight {
         self
     }
 
-    /// Seconds from the horizon's start until a closure of `bytes` would be here.
-    fn arrival(&self, state: &ClientState, now: Time, bytes: u64) -> f64 {
+    /// Seconds from the horizon's start until a closure of `bytes` requested there would be here. One moment for all
+    /// candidates of a sampling: what is ranked together is compared alike, and gains between samplings change only
+    /// where the plan has changed.
+    fn arrival(&self, state: &ClientState, bytes: u64) -> f64 {
         if !self.settings.gains_from_arrival {
             return 0.0;
         }
-        let begun = self.sampled.map_or(0.0, |t| now.since(t).secs());
-        let bytes = state.outstanding_bytes() + bytes;
-        match &self.oracle {
-            Some(oracle) => begun + oracle(now, bytes),
-            None => begun + state.link.latency_s() + bytes as f64 / state.link.rate(),
+        let bytes = self.queued_bytes + bytes;
+        match (&self.oracle, self.sampled) {
+            (Some(oracle), Some(sampled)) => oracle(sampled, bytes),
+            _ => state.link.latency_s() + bytes as f64 / state.link.rate(),
         }
     }
 
@@ -240,12 +252,14 @@ impl Foresight {
         };
         self.horizon.make(tree, plan, &paths, &bounds, (&view, region), &horizon);
         self.sampled = Some(now);
+        self.queued_bytes = state.outstanding_bytes();
+        self.changes.clear();
         self.uses += 1;
         self.victims.clear();
         self.victims_known = false;
 
         // One pass over all patches gives every candidate's gain, with the earliest arrival any could have.
-        let earliest = self.arrival(state, now, 0);
+        let earliest = self.arrival(state, 0);
         self.gain.resize(tree.representations(), 0.0);
         self.last_used.resize(tree.representations(), 0);
         let (gain, touched, last_used, uses) = (&mut self.gain, &mut self.touched, &mut self.last_used, self.uses);
@@ -260,7 +274,7 @@ impl Foresight {
             if share <= 0.0 {
                 return;
             }
-            let now_shown = crate::benefit::accuracy::accuracy(f64::from(chain.best), patch.sharpness);
+            let now_shown = accuracy(f64::from(chain.best), patch.sharpness);
             if now_shown >= 1.0 {
                 return;
             }
@@ -271,7 +285,7 @@ impl Foresight {
                 for rep in tree.own(node) {
                     let error = tree.error(rep);
                     if error < f64::from(chain.best) && !plan.contains(rep) {
-                        let added = crate::benefit::accuracy::accuracy(error, patch.sharpness) - now_shown;
+                        let added = accuracy(error, patch.sharpness) - now_shown;
                         if gain[rep.index()] == 0.0 {
                             touched.push(rep);
                         }
@@ -294,7 +308,7 @@ impl Foresight {
                 members.iter().map(|m| self.gain[m.index()]).sum::<f64>() / self.cost(state, &members)
             };
             if ratio > 0.0 {
-                ranked.push(Candidate { ratio, rep });
+                ranked.push(Candidate { ratio, rep, gain: 0.0, seen: None });
             }
         }
         self.candidates = BinaryHeap::from(ranked);
@@ -347,23 +361,30 @@ impl Foresight {
         }
         self.victims_known = true;
         let tree = state.tree;
-        // Only the best of each patch loses anything singly; one pass finds them, and the rest are free.
+        let planned = self.settings.discards == Discards::Planned;
+        // Singly, only the best of each patch loses anything: the difference to the second best. One pass adds it up.
         let (gain, touched) = (&mut self.gain, &mut self.touched);
-        self.horizon.for_each(tree, plan, offset, |_, share, chain, _| {
-            if let (true, Some(owner)) = (share > 0.0, chain.owner) {
-                for rep in tree.own(owner) {
-                    if plan.contains(rep) && gain[rep.index()] == 0.0 {
-                        gain[rep.index()] = 1.0;
-                        touched.push(rep);
-                    }
+        self.horizon.for_each(tree, plan, offset, |patch, share, chain, _| {
+            let Some(owner) = chain.owner.filter(|_| planned && share > 0.0) else { return };
+            let mut second = tree.parent(owner).map_or(f32::INFINITY, |p| plan.best_above(tree, p));
+            let mut first = None;
+            for rep in tree.own(owner).filter(|&r| plan.contains(r)) {
+                if first.is_none() && tree.error(rep) as f32 == chain.best {
+                    first = Some(rep);
+                } else {
+                    second = second.min(tree.error(rep) as f32);
                 }
             }
+            let lost = accuracy(f64::from(chain.best), patch.sharpness) - accuracy(f64::from(second), patch.sharpness);
+            if let Some(rep) = first.filter(|_| lost > 0.0) {
+                if gain[rep.index()] == 0.0 {
+                    touched.push(rep);
+                }
+                gain[rep.index()] += share * patch.weight * lost;
+            }
         });
-        let planned = self.settings.discards == Discards::Planned;
         for rep in state.residents() {
-            let used = gain[rep.index()] > 0.0;
-            let loss = if planned && used { self.horizon.marginal(tree, plan, rep, offset) } else { 0.0 };
-            let loss_per_byte = loss / tree.decoded_bytes(rep).max(1) as f64;
+            let loss_per_byte = gain[rep.index()] / tree.decoded_bytes(rep).max(1) as f64;
             self.victims.push(Victim { loss_per_byte, last_used: self.last_used[rep.index()], rep });
         }
         for rep in touched.drain(..) {
@@ -372,7 +393,7 @@ impl Foresight {
     }
 
     /// The best closure that gains, with its discards; the plan is as before.
-    fn choose(&mut self, state: &ClientState, plan: &mut Coverage, now: Time) -> Option<Choice> {
+    fn choose(&mut self, state: &ClientState, plan: &mut Coverage) -> Option<Choice> {
         let tree = state.tree;
         let mut best: Option<Choice> = None;
         let mut weighed = 0;
@@ -387,8 +408,12 @@ impl Foresight {
             }
             let members = closure(state, plan, top.rep);
             let bytes: u64 = members.iter().map(|&m| tree.wire_bytes(m)).sum();
-            let offset = self.arrival(state, now, bytes);
-            let gain = self.closure_gain(state, plan, &members, offset);
+            let offset = self.arrival(state, bytes);
+            let gain = match top.seen {
+                Some(seen) if !self.is_touched(state, &members, seen) => top.gain,
+                _ => self.closure_gain(state, plan, &members, offset),
+            };
+            let seen = Some(self.changes.len());
             let cost = self.cost(state, &members);
             let ratio = gain / cost;
             if ratio <= 0.0 {
@@ -396,7 +421,7 @@ impl Foresight {
             }
             // Below the next one's bound? Then it has to wait for its turn again.
             if self.candidates.peek().is_some_and(|next| next.ratio > ratio) && ratio < top.ratio {
-                self.candidates.push(Candidate { ratio, rep: top.rep });
+                self.candidates.push(Candidate { ratio, gain, seen, ..top });
                 continue;
             }
             let need: u64 = members.iter().map(|&m| state.request_bytes(m)).sum();
@@ -405,7 +430,7 @@ impl Foresight {
                 if best.as_ref().is_none_or(|b| ratio > b.ratio) {
                     best = Some(Choice { ratio, gain, rep: top.rep, members, discards: Vec::new() });
                 } else {
-                    passed_over.push(Candidate { ratio, rep: top.rep });
+                    passed_over.push(Candidate { ratio, gain, seen, ..top });
                 }
                 break;
             }
@@ -414,10 +439,10 @@ impl Foresight {
             match self.swap(state, plan, &members, need - free, gain, offset) {
                 Some((discards, loss)) => {
                     let net = (gain - loss) / cost;
-                    let candidate = Candidate { ratio: net, rep: top.rep };
+                    let candidate = Candidate { ratio: net, gain, seen, ..top };
                     if best.as_ref().is_none_or(|b| net > b.ratio) {
                         if let Some(b) = best.replace(Choice { ratio: net, gain, rep: top.rep, members, discards }) {
-                            passed_over.push(Candidate { ratio: b.ratio, rep: b.rep });
+                            passed_over.push(Candidate { ratio: b.ratio, rep: b.rep, gain: b.gain, seen });
                         }
                     } else {
                         passed_over.push(candidate);
@@ -429,6 +454,20 @@ impl Foresight {
         }
         self.candidates.extend(passed_over);
         best
+    }
+
+    /// Whether the plan has changed above or beneath one of `members` since the first `seen` changes. Under atomic
+    /// refinement a change reaches across its siblings, so any counts.
+    fn is_touched(&self, state: &ClientState, members: &[RepId], seen: usize) -> bool {
+        let tree = state.tree;
+        let changed = &self.changes[seen..];
+        if state.planned().refinement() == Refinement::Atomic {
+            return !changed.is_empty();
+        }
+        members
+            .iter()
+            .map(|&m| tree.node_of(m))
+            .any(|node| changed.iter().any(|&other| tree.is_beneath(node, other) || tree.is_beneath(other, node)))
     }
 
     /// Discards for a closure and their joint loss, or `None` if the swap does not gain. The plan is as before.
@@ -453,9 +492,11 @@ impl Foresight {
         let planned = self.settings.discards == Discards::Planned;
         let mut replaced = Vec::new();
         if planned {
+            // A new representation takes over from the nearest owner above it: that one's loss falls.
             for &member in members {
-                for node in tree.ancestors(tree.node_of(member)) {
-                    replaced.extend(tree.own(node).filter(|&r| plan.contains(r)));
+                let held = |n: &NodeId| tree.own(*n).any(|r| plan.contains(r) && !members.contains(&r));
+                if let Some(owner) = tree.ancestors(tree.node_of(member)).find(held) {
+                    replaced.extend(tree.own(owner).filter(|r| plan.contains(*r) && !members.contains(r)));
                 }
             }
             replaced.sort_unstable();
@@ -504,17 +545,12 @@ impl Foresight {
         best
     }
 
-    /// Whether what is outstanding takes longer than a reuse period.
-    fn lasts(&self, state: &ClientState) -> bool {
-        state.outstanding_bytes() as f64 > state.link.rate() * self.settings.reuse_s
-    }
-
     /// A request that has lost its point: nothing gained by it any more, or far less than by the best candidate.
-    fn pointless_request(&mut self, state: &ClientState, plan: &Coverage, now: Time) -> Option<RepId> {
+    fn pointless_request(&mut self, state: &ClientState, plan: &Coverage) -> Option<RepId> {
         let asked: u64 = state.requests().iter().map(|r| state.tree.wire_bytes(r.rep)).sum();
         let left = state.outstanding_bytes() as f64 / asked.max(1) as f64;
         let best = self.candidates.peek().map_or(0.0, |c| c.ratio);
-        let offset = self.arrival(state, now, 0);
+        let offset = self.arrival(state, 0);
         state.requests().iter().map(|r| r.rep).find(|&rep| {
             let seconds = left * state.tree.wire_bytes(rep) as f64 / state.link.rate();
             // What ends within a reuse period is not worth the bytes already charged.
@@ -536,10 +572,9 @@ impl Foresight {
         let full = !state.requests().is_empty()
             && state.outstanding_bytes() as f64 >= link.rate() * (link.latency_s() + self.settings.slack_s);
         let due = self.sampled.is_none_or(|t| now.since(t).secs() >= self.settings.reuse_s);
-        // With the pipeline full nothing can be requested; only a request that lasts may have lost its point.
         if due {
             self.sample(state, plan, now);
-            if let Some(rep) = self.pointless_request(state, plan, now) {
+            if let Some(rep) = self.pointless_request(state, plan) {
                 // What the request had doomed stays: read the plan anew.
                 self.plan = None;
                 self.sampled = None;
@@ -555,7 +590,7 @@ impl Foresight {
             }
             self.covered = true;
         }
-        let Some(choice) = self.choose(state, plan, now) else {
+        let Some(choice) = self.choose(state, plan) else {
             if due {
                 self.typical_gain = (0.5 * self.typical_gain).max(TOLERANCES.0);
             }
@@ -604,12 +639,15 @@ impl Policy for Foresight {
             Action::Fetch { rep, discard_on_arrival } => {
                 for &doomed in discard_on_arrival {
                     plan.remove(state.tree, doomed);
+                    self.changes.push(state.tree.node_of(doomed));
                 }
+                self.changes.push(state.tree.node_of(*rep));
                 plan.insert(state.tree, *rep);
                 let bytes = state.tree.wire_bytes(*rep) as f64;
                 self.mean_fetch_bytes += 0.1 * (bytes - self.mean_fetch_bytes);
             }
             Action::Discard(rep) => {
+                self.changes.push(state.tree.node_of(*rep));
                 plan.remove(state.tree, *rep);
             }
             Action::Cancel(_) => return action,
