@@ -477,7 +477,8 @@ impl Foresight {
         let best = touched
             .iter()
             .copied()
-            .filter(|&r| state.status(r) == Status::Absent && state.request_bytes(r) <= state.free_bytes())
+            .filter(|&r| state.status(r) == Status::Absent && state.has_prerequisite(r))
+            .filter(|&r| state.request_bytes(r) <= state.free_bytes())
             .max_by(|&a, &b| per_byte(a).total_cmp(&per_byte(b)).then(b.cmp(&a)));
         for rep in touched.drain(..) {
             gain[rep.index()] = 0.0;
