@@ -610,7 +610,7 @@ fn closure(state: &ClientState, plan: &Coverage, rep: RepId) -> Vec<RepId> {
     let mut with_prerequisites = |rep: RepId| {
         let first = members.len();
         let mut next = Some(rep);
-        while let Some(r) = next.filter(|&r| !plan.contains(r)) {
+        while let Some(r) = next.filter(|r| !plan.contains(*r) && !members.contains(r)) {
             members.push(r);
             next = tree.prerequisite(r);
         }
