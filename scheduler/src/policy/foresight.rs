@@ -367,6 +367,10 @@ impl Foresight {
                 continue;
             }
             let members = closure(state, plan, top.rep);
+            // What is doomed can be asked for again only when it is gone.
+            if members.iter().any(|&m| state.status(m) != Status::Absent) {
+                continue;
+            }
             let bytes: u64 = members.iter().map(|&m| tree.wire_bytes(m)).sum();
             let offset = self.arrival(state, now, bytes);
             let gain = self.closure_gain(state, plan, &members, offset);
