@@ -48,7 +48,7 @@ pub struct ClientState<'a> {
     resident: Coverage,
     planned: Coverage,
     requests: Vec<Request>,
-    /// How many planned representations need each one first; empty in a world without prerequisites.
+    /// How many planned or doomed representations need each one first; empty in a world without prerequisites.
     dependents: Vec<u32>,
     used: u64,
     /// Bytes of the requests in flight that have been received.
@@ -124,7 +124,7 @@ impl<'a> ClientState<'a> {
         self.tree.wire_bytes(rep) + self.tree.decoded_bytes(rep)
     }
 
-    /// Whether a planned representation needs `rep` first: then it cannot be discarded.
+    /// Whether a planned or doomed representation needs `rep` first: then it cannot be discarded.
     pub fn is_needed(&self, rep: RepId) -> bool {
         self.dependents.get(rep.index()).is_some_and(|&n| n > 0)
     }
@@ -142,10 +142,14 @@ impl<'a> ClientState<'a> {
     }
 
     fn unplan(&mut self, rep: RepId) {
+        self.release_prerequisite(rep);
+        self.planned.remove(self.tree, rep);
+    }
+
+    fn release_prerequisite(&mut self, rep: RepId) {
         if let Some(p) = self.tree.prerequisite(rep) {
             self.dependents[p.index()] -= 1;
         }
-        self.planned.remove(self.tree, rep);
     }
 
     pub(crate) fn request(&mut self, rep: RepId, discard_on_arrival: Vec<RepId>, now: Time) {
@@ -153,7 +157,8 @@ impl<'a> ClientState<'a> {
         let reserved = self.tree.wire_bytes(rep) + self.tree.decoded_bytes(rep).saturating_sub(handed_over);
         for &doomed in &discard_on_arrival {
             self.status[doomed.index()] = Status::Doomed;
-            self.unplan(doomed);
+            // It can be shown until it goes, and is spared if the request ends early: what it needs has to stay.
+            self.planned.remove(self.tree, doomed);
         }
         self.used += reserved;
         self.status[rep.index()] = Status::InFlight;
@@ -193,6 +198,7 @@ impl<'a> ClientState<'a> {
             self.used -= self.tree.decoded_bytes(doomed);
             self.status[doomed.index()] = Status::Absent;
             self.resident.remove(self.tree, doomed);
+            self.release_prerequisite(doomed);
         }
         self.used = self.used - request.reserved + self.request_bytes(request.rep);
         self.status[request.rep.index()] = Status::Arrived;
@@ -205,7 +211,7 @@ impl<'a> ClientState<'a> {
         self.unplan(request.rep);
         for &spared in &request.discard_on_arrival {
             self.status[spared.index()] = Status::Resident;
-            self.plan(spared);
+            self.planned.insert(self.tree, spared);
         }
     }
 

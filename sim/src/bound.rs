@@ -128,8 +128,13 @@ impl<'a> FrameBound<'a> {
         let mut open: Vec<usize> = Vec::new();
         let mut path = Vec::new();
         for patch in &cut.patches {
+            while open.last().is_some_and(|&top| !tree.is_beneath(patch.node, bound.items[top].node)) {
+                open.pop();
+            }
+            // Only what is not open yet: a second item for a node would charge its representations twice.
+            let innermost = open.last().map(|&top| bound.items[top].node);
             path.clear();
-            path.extend(tree.ancestors(patch.node));
+            path.extend(tree.ancestors(patch.node).take_while(|&n| Some(n) != innermost));
             for &node in path.iter().rev() {
                 bound.enter(&mut open, node);
             }

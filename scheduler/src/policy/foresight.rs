@@ -407,6 +407,10 @@ impl Foresight {
                 continue;
             }
             let members = closure(state, plan, top.rep);
+            // What is doomed can be asked for again only when it is gone.
+            if members.iter().any(|&m| state.status(m) != Status::Absent) {
+                continue;
+            }
             let bytes: u64 = members.iter().map(|&m| tree.wire_bytes(m)).sum();
             let offset = self.arrival(state, bytes);
             let gain = match top.seen {
@@ -537,7 +541,8 @@ impl Foresight {
         let best = touched
             .iter()
             .copied()
-            .filter(|&r| state.status(r) == Status::Absent && state.request_bytes(r) <= state.free_bytes())
+            .filter(|&r| state.status(r) == Status::Absent && state.has_prerequisite(r))
+            .filter(|&r| state.request_bytes(r) <= state.free_bytes())
             .max_by(|&a, &b| per_byte(a).total_cmp(&per_byte(b)).then(b.cmp(&a)));
         for rep in touched.drain(..) {
             gain[rep.index()] = 0.0;
@@ -677,7 +682,7 @@ fn closure(state: &ClientState, plan: &Coverage, rep: RepId) -> Vec<RepId> {
     let mut with_prerequisites = |rep: RepId| {
         let first = members.len();
         let mut next = Some(rep);
-        while let Some(r) = next.filter(|&r| !plan.contains(r)) {
+        while let Some(r) = next.filter(|r| !plan.contains(*r) && !members.contains(r)) {
             members.push(r);
             next = tree.prerequisite(r);
         }

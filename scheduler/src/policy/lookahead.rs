@@ -380,7 +380,14 @@ impl Lookahead {
         let (update, last) = (self.update, &self.last_in_union);
         self.held.retain(|&r| state.status(r) != Status::Absent);
         self.evictable.clear();
-        let outside = |r: &&RepId| last[r.index()] != update && state.status(**r) == Status::Resident;
+        // What is still on its way has left the union, perhaps, but keeps what it needs first.
+        let on_the_way = self.held.iter().filter(|&&r| state.status(r) != Status::Resident);
+        let needs = |&r: &RepId| core::iter::successors(state.tree.prerequisite(r), |&p| state.tree.prerequisite(p));
+        let mut needed: Vec<RepId> = on_the_way.flat_map(needs).collect();
+        needed.sort_unstable();
+        let outside = |r: &&RepId| {
+            last[r.index()] != update && state.status(**r) == Status::Resident && needed.binary_search(r).is_err()
+        };
         self.evictable.extend(self.held.iter().filter(outside));
         self.evictable.iter().map(|&r| state.tree.decoded_bytes(r)).sum()
     }
