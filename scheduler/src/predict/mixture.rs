@@ -10,7 +10,7 @@ use super::motion::{Motion, moved, rotation_vector};
 use super::{PredictedPath, Predictor};
 use crate::units::Time;
 use crate::view::View;
-use glam::DQuat;
+use glam::{DQuat, DVec3};
 use std::collections::VecDeque;
 
 const COMPONENTS: usize = 3;
@@ -24,6 +24,10 @@ const KEPT: f64 = 0.99;
 const LEAST_WEIGHT: f64 = 0.05;
 /// Metres of error in position that count like a radian of error in direction.
 const METRES_PER_RADIAN: f64 = 20.0;
+/// Nodes of the three-point Gauss–Hermite rule, in standard deviations; its weights are 1/6, 2/3, 1/6.
+const GAUSS_HERMITE_NODE: f64 = 1.732_050_807_568_877_2;
+/// Greatest spread of the direction, radians.
+const SPREAD_MAX: f64 = 0.6;
 /// How long the head's usual direction remembers, seconds.
 const USUAL_S: f64 = 6.0;
 /// How fast a turned head comes back, seconds.
@@ -141,17 +145,31 @@ impl Predictor for Mixture {
             return Vec::new();
         }
         let believed: f64 = self.weight.iter().filter(|w| **w >= LEAST_WEIGHT).sum();
-        (0..COMPONENTS)
-            .filter(|&i| self.weight[i] >= LEAST_WEIGHT)
-            .map(|i| PredictedPath { weight: self.weight[i] / believed, views: self.component(i, now, offsets) })
-            .collect()
+        let likeliest = (0..COMPONENTS).fold(0, |best, i| if self.weight[i] > self.weight[best] { i } else { best });
+        let mut paths = Vec::new();
+        for i in (0..COMPONENTS).filter(|&i| self.weight[i] >= LEAST_WEIGHT) {
+            let weight = self.weight[i] / believed;
+            let views = self.component(i, now, offsets);
+            if i != likeliest {
+                paths.push(PredictedPath { weight, views });
+                continue;
+            }
+            for side in [-1.0, 1.0] {
+                let aside = views.iter().zip(offsets).map(|(view, u)| {
+                    let spread = (self.variance[i] * u / JUDGED_AHEAD_S).sqrt().min(SPREAD_MAX);
+                    moved(view, view.position, view.orientation * DVec3::Y * (side * GAUSS_HERMITE_NODE * spread))
+                });
+                paths.push(PredictedPath { weight: weight * (1.0 / 6.0), views: aside.collect() });
+            }
+            paths.push(PredictedPath { weight: weight * (2.0 / 3.0), views });
+        }
+        paths
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glam::DVec3;
 
     fn drive(turn_rate: impl Fn(f64) -> f64) -> Mixture {
         let mut mixture = Mixture::default();
