@@ -116,7 +116,9 @@ fn alternating_signs_are_no_rotation() {
             now = Time(i * TICK);
             predictor.observe(&view(DVec3::ONE, if i.is_multiple_of(2) { q } else { -q }), now);
         }
-        for path in predictor.predict(now, &OFFSETS) {
+        // The mixture also looks to the sides of what it believes most.
+        let likeliest = predictor.predict(now, &OFFSETS).into_iter().max_by(|a, b| a.weight.total_cmp(&b.weight));
+        if let Some(path) = likeliest {
             for view in path.views {
                 let turned = rotation_vector(view.orientation * q.conjugate()).length();
                 assert!(turned < 1e-6, "{name}: turned by {turned}");

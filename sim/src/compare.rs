@@ -75,6 +75,9 @@ pub enum CompareError {
         /// Wire and decoded bytes of the smallest closure.
         smallest: u64,
     },
+    /// A world of orthoviews.
+    #[error("the world has representations that show one direction only; their coverage is not scheduled yet")]
+    Directions,
     /// A replay failed.
     #[error("policy {policy}, start at {start_s} s: {source}")]
     Replay {
@@ -113,6 +116,9 @@ pub fn compare(
     inputs: Inputs,
     progress: impl Fn(usize, usize) + Sync,
 ) -> Result<Comparison, CompareError> {
+    if plan.tree.has_directions() {
+        return Err(CompareError::Directions);
+    }
     let cuts = plan.flight.cuts(plan.tree, &plan.judging);
     let needs = Needs::new(plan.tree, &cuts);
     let budget = match plan.memory {

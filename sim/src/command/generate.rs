@@ -2,7 +2,7 @@
 
 use clap::{Args, Subcommand};
 use foresight_index::generate::{city, mosaic};
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
 
 #[derive(Debug, Args)]
@@ -53,7 +53,8 @@ pub(crate) fn run(args: GenerateArgs) -> anyhow::Result<()> {
             if shows_progress {
                 eprint!("\r\x1b[K");
             }
-            println!(
+            writeln!(
+                std::io::stdout(),
                 "{}: {} instances {:.1} m × {:.1} m apart under {} synthetic tiles, {} representations; one copy of {} files, {:.1} MB",
                 out.display(),
                 made.instances,
@@ -63,18 +64,19 @@ pub(crate) fn run(args: GenerateArgs) -> anyhow::Result<()> {
                 made.representations,
                 made.files,
                 made.bytes as f64 / 1e6
-            );
+            )?;
         }
         What::City { blocks, seed, out } => {
             let params = city::CityParams { blocks_x: blocks, blocks_y: blocks, seed, ..city::CityParams::default() };
             let world = city::city(&params)?;
             city::write(&params, &out)?;
-            println!(
+            writeln!(
+                std::io::stdout(),
                 "{}: {} representations in {} nodes",
                 out.display(),
                 world.tree.representations(),
                 world.tree.nodes()
-            );
+            )?;
         }
     }
     Ok(())

@@ -8,6 +8,7 @@ use foresight_scheduler::benefit::cut::CutSettings;
 use foresight_sim::link::{self, LinkTrace};
 use foresight_sim::path::CameraPath;
 use foresight_sim::pressure::Needs;
+use std::io::Write;
 use std::path::Path;
 
 #[derive(Debug, Args)]
@@ -51,26 +52,27 @@ fn recognise(file: &str, args: &PathArgs) -> anyhow::Result<Input> {
 }
 
 pub(crate) fn run(args: &InspectArgs) -> anyhow::Result<()> {
+    let mut out = std::io::stdout().lock();
     let (mut worlds, mut paths, mut links) = (Vec::new(), Vec::new(), Vec::new());
     for file in &args.files {
         match recognise(file, &args.path_args)? {
             Input::World(world) => {
-                describe_world(file, &world);
+                describe_world(&mut out, file, &world)?;
                 worlds.push(world);
             }
             Input::Path(path) => {
-                describe_path(file, &path);
+                describe_path(&mut out, file, &path)?;
                 paths.push(path);
             }
             Input::Link(link) => {
-                describe_link(file, &link);
+                describe_link(&mut out, file, &link)?;
                 links.push(link);
             }
         }
     }
     for world in &worlds {
         for path in &paths {
-            pressure(world, path, &links, &args.path_args)?;
+            pressure(&mut out, world, path, &links, &args.path_args)?;
         }
     }
     Ok(())
@@ -80,28 +82,31 @@ fn megabytes(bytes: u64) -> f64 {
     bytes as f64 / 1e6
 }
 
-fn describe_world(file: &str, world: &World) {
+fn describe_world(out: &mut impl Write, file: &str, world: &World) -> std::io::Result<()> {
     let summary = world.summary();
     let size = summary.bounds.max - summary.bounds.min;
-    println!("{file}: world, {}", world.kind);
-    println!(
+    writeln!(out, "{file}: world, {}", world.kind)?;
+    writeln!(
+        out,
         "  {} representations on {} nodes, {} of them leaves; depth {}",
         summary.representations, summary.nodes, summary.leaves, summary.depth
-    );
-    println!(
+    )?;
+    writeln!(
+        out,
         "  {:.2} MB on the wire, {:.2} MB decoded with mips; {:.1} MB of memory for the tree ({:.1} bytes a representation)",
         megabytes(summary.wire_bytes),
         megabytes(summary.decoded_bytes),
         megabytes(world.tree.heap_bytes() as u64),
         world.tree.heap_bytes() as f64 / summary.representations.max(1) as f64
-    );
-    println!("  extent {:.2} × {:.2} × {:.2} m, up {:.3}", size.x, size.y, size.z, world.up);
+    )?;
+    writeln!(out, "  extent {:.2} × {:.2} × {:.2} m, up {:.3}", size.x, size.y, size.z, world.up)?;
     for note in &world.notes {
-        println!("  {note}");
+        writeln!(out, "  {note}")?;
     }
+    Ok(())
 }
 
-fn describe_path(file: &str, path: &CameraPath) {
+fn describe_path(out: &mut impl Write, file: &str, path: &CameraPath) -> std::io::Result<()> {
     let poses = path.poses();
     let mut length = 0.0;
     let (mut low, mut high) = (poses[0].position, poses[0].position);
@@ -111,45 +116,56 @@ fn describe_path(file: &str, path: &CameraPath) {
         high = high.max(pair[1].position);
     }
     let duration = path.duration();
-    println!("{file}: path");
-    println!(
+    writeln!(out, "{file}: path")?;
+    writeln!(
+        out,
         "  {} poses over {duration:.2} s ({:.1} Hz); {length:.1} m long, {:.2} m/s on average",
         poses.len(),
         (poses.len() - 1) as f64 / duration,
         length / duration
-    );
-    println!("  extent {:.2} m, up {:.3}", high - low, path.up());
+    )?;
+    writeln!(out, "  extent {:.2} m, up {:.3}", high - low, path.up())?;
     for note in path.notes() {
-        println!("  {note}");
+        writeln!(out, "  {note}")?;
     }
+    Ok(())
 }
 
-fn describe_link(file: &str, link: &LinkTrace) {
-    println!("{file}: link");
-    println!(
+fn describe_link(out: &mut impl Write, file: &str, link: &LinkTrace) -> std::io::Result<()> {
+    writeln!(out, "{file}: link")?;
+    writeln!(
+        out,
         "  {:.3} Mbit/s on average over {:.2} s, then it repeats; round trip {:.1} ms",
         link.mean_rate() * 8e-6,
         link.period().secs(),
         link.rtt().secs() * 1e3
-    );
+    )?;
     for note in link.notes() {
-        println!("  {note}");
+        writeln!(out, "  {note}")?;
     }
+    Ok(())
 }
 
-fn pressure(world: &World, path: &CameraPath, links: &[LinkTrace], args: &PathArgs) -> anyhow::Result<()> {
+fn pressure(
+    out: &mut impl Write,
+    world: &World,
+    path: &CameraPath,
+    links: &[LinkTrace],
+    args: &PathArgs,
+) -> anyhow::Result<()> {
     let placed = inputs::place(path, world, false, args)?;
     let cuts = placed.flight.cuts(&world.tree, &CutSettings::default());
     let needs = Needs::new(&world.tree, &cuts);
     let seen = cuts.iter().filter(|c| c.total_weight > 0.0).count();
     let duration = placed.flight.duration();
-    println!("{} over {} ({}, {:.1} s)", path.name(), world.name, placed.place, duration.secs());
-    println!("  something is in view in {:.1} % of the frames", 100.0 * seen as f64 / cuts.len() as f64);
-    println!(
+    writeln!(out, "{} over {} ({}, {:.1} s)", path.name(), world.name, placed.place, duration.secs())?;
+    writeln!(out, "  something is in view in {:.1} % of the frames", 100.0 * seen as f64 / cuts.len() as f64)?;
+    writeln!(
+        out,
         "  needs at 16 px: {:.2} MB on the wire in all; the largest view {:.2} MB decoded (μ = 1)",
         megabytes(needs.union_bytes),
         megabytes(needs.largest_bytes)
-    );
+    )?;
     for link in links {
         let delivered = link.bytes_deliverable(Default::default(), duration) as f64;
         let rho = needs.union_bytes as f64 / delivered.max(1.0);
@@ -163,13 +179,14 @@ fn pressure(world: &World, path: &CameraPath, links: &[LinkTrace], args: &PathAr
             r if r < 0.5 => "ample",
             _ => "matched",
         };
-        println!(
+        writeln!(
+            out,
             "  on {}: ρ = {rho:.3} ({word}); λ = {:.3}, {:.3}, {:.3} at μ = ¼, ½, 1",
             link.name(),
             lambda(0.25),
             lambda(0.5),
             lambda(1.0)
-        );
+        )?;
     }
     Ok(())
 }

@@ -15,7 +15,10 @@ use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
 
 /// Error targets tried for the best in hindsight, pixels.
-const HINDSIGHT_TARGETS_PX: [f64; 4] = [1.0, 2.0, 4.0, 8.0];
+const HINDSIGHT_TARGETS_PX: [f64; 5] = [1.0, 2.0, 4.0, 8.0, 16.0];
+/// Memory without `--memory`: what puts the built-in flight under some pressure, and otherwise what viewers use.
+const BUILT_IN_MEMORY: u64 = 16 << 20;
+const MEMORY: u64 = 256 << 20;
 
 #[derive(Debug, Args)]
 #[command(
@@ -38,14 +41,15 @@ pub(crate) struct ReplayArgs {
     /// Policies separated by commas, or all
     #[arg(long, default_value = "all", value_name = "NAMES")]
     policy: String,
-    /// Memory budget: bytes, 256MiB, 1GB, or mu:0.5 for half of the largest need
-    #[arg(long, default_value = "256MiB", value_name = "SIZE", value_parser = memory)]
-    memory: Memory,
+    /// Memory budget: bytes, 256MiB, 1GB, or mu:0.5 for half of the largest need; 256MiB if not given, and 16MiB for
+    /// the built-in world
+    #[arg(long, value_name = "SIZE", value_parser = memory)]
+    memory: Option<Memory>,
     /// Trust in the prediction, 0 to 1
     #[arg(long, default_value_t = 0.7)]
     alpha: f64,
     /// Pixels of error that lookahead and 3d-tiles-renderer aim at (they ship with 16); best adds each at its best of
-    /// 1, 2, 4 and 8 px in hindsight
+    /// 1, 2, 4, 8 and 16 px in hindsight
     #[arg(long, value_name = "PX|best")]
     error_target: Option<String>,
     /// When children count: partial (drawn beside their parent) or atomic (all or none)
@@ -93,7 +97,7 @@ impl ReplayArgs {
             path: None,
             link: None,
             policy: "all".to_owned(),
-            memory: Memory::Bytes(256 << 20),
+            memory: None,
             alpha: 0.7,
             error_target: None,
             refinement: Refinement::Partial,
@@ -187,7 +191,7 @@ pub(crate) fn run(args: ReplayArgs) -> anyhow::Result<()> {
         starts: starts(&link, args.starts as usize, args.seed),
         policies,
         hindsight_targets: hindsight,
-        memory: args.memory,
+        memory: args.memory.unwrap_or(Memory::Bytes(if args.world.is_none() { BUILT_IN_MEMORY } else { MEMORY })),
         scheduler: SchedulerSettings { refinement: args.refinement, ..base },
         client: ClientSettings {
             decode_rate: args.decode_rate,

@@ -5,7 +5,9 @@ use foresight_scheduler::units::Time;
 use super::{LinkTrace, RatePiece};
 
 const SECONDS: usize = 120;
-const MEAN_MBIT: f64 = 6.0;
+const MEAN_MBIT: f64 = 1.5;
+/// Where the walk begins, Mbit/s.
+const WALK_START: f64 = 6.0;
 /// Bounds of the walk before it is brought to its mean, Mbit/s.
 const WALK_MIN: f64 = 1.5;
 const WALK_MAX: f64 = 18.0;
@@ -15,11 +17,11 @@ const STEP: f64 = 0.3;
 const DIPS: [(usize, usize, f64); 3] = [(34, 4, 0.03), (71, 6, 0.02), (103, 3, 0.03)];
 
 /// A generated LTE-like link: the logarithm of the rate walks at random in steps of 1 s, reflected at its bounds, with
-/// three deep dips; 120 s, mean 6 Mbit/s, round trip 60 ms. The same on every machine.
+/// three deep dips; 120 s, mean 1.5 Mbit/s, round trip 60 ms. The same on every machine.
 pub fn built_in() -> LinkTrace {
     let (low, high) = (libm::log(WALK_MIN), libm::log(WALK_MAX));
     let mut random = SplitMix64(0x05ee_d0f1);
-    let mut log_rate = libm::log(MEAN_MBIT);
+    let mut log_rate = libm::log(WALK_START);
     let mut rates = [0.0; SECONDS];
     for (second, rate) in rates.iter_mut().enumerate() {
         // The sum of twelve uniform numbers less 6 has mean 0 and variance 1.
