@@ -176,14 +176,6 @@ impl Cut {
         self.total_weight += weight;
         self.patches.push(Patch { node, weight, sharpness });
     }
-
-    /// The patches at or beneath `node`, as a range of [`Cut::patches`].
-    pub fn beneath(&self, tree: &LodTree, node: NodeId) -> core::ops::Range<usize> {
-        let end = tree.subtree_end(node);
-        let first = self.patches.partition_point(|p| p.node < node);
-        let count = self.patches[first..].partition_point(|p| p.node < end);
-        first..first + count
-    }
 }
 
 /// Σ ι·A_ℓ(u) over the leaves beneath `node`, m², along the unit vector `direction`.

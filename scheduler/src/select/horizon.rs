@@ -34,6 +34,17 @@ impl Span {
 struct Term {
     span: Span,
     cut: Cut,
+    /// The nodes of the cut's patches once more: searches touch nothing else.
+    nodes: Vec<NodeId>,
+}
+
+impl Term {
+    /// The patches at or beneath a node.
+    fn beneath(&self, tree: &LodTree, node: NodeId) -> impl Iterator<Item = &Patch> {
+        let end = tree.subtree_end(node);
+        let first = self.nodes.partition_point(|&n| n < node);
+        self.cut.patches[first..].iter().take_while(move |p| p.node < end)
+    }
 }
 
 /// What the horizon is made of.
@@ -124,7 +135,8 @@ impl Horizon {
             open(tree, planned, cut.eye, patch, above, tolerance, &mut self.opened);
         }
         core::mem::swap(&mut cut.patches, &mut self.opened);
-        self.terms.push(Term { span, cut });
+        let nodes = cut.patches.iter().map(|p| p.node).collect();
+        self.terms.push(Term { span, cut, nodes });
     }
 
     /// Patches over all terms: what an evaluation costs.
@@ -158,7 +170,7 @@ impl Horizon {
                 continue;
             }
             let mut part = 0.0;
-            for patch in &term.cut.patches[term.cut.beneath(tree, node)] {
+            for patch in term.beneath(tree, node) {
                 let mut others = above;
                 let mut n = patch.node;
                 while n != node {
@@ -185,7 +197,7 @@ impl Horizon {
         for term in &self.terms {
             let share = term.span.after(offset);
             let mut part = 0.0;
-            for patch in &term.cut.patches[term.cut.beneath(tree, node)] {
+            for patch in term.beneath(tree, node) {
                 let mut best = above;
                 let mut n = patch.node;
                 loop {
