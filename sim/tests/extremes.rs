@@ -163,7 +163,6 @@ fn errors_beyond_everything_and_of_nothing() {
         let tree = world(&ahead(20.0, 2.0), error);
         for (name, run) in replay_all(&tree, &walk(view(DVec3::ZERO, 1.0), 0.0), &fast(), 1 << 20, "") {
             let last = last_quality(&run).unwrap();
-            // What shows nothing is not worth a byte to some policies, so only the value of what is there is known.
             assert!((last - expected).abs() < 1e-9, "{name} with {error} m: {last}");
         }
     }
