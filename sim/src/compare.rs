@@ -347,7 +347,7 @@ impl Figures {
         let frame_s = tick_time(TICKS_PER_FRAME).secs();
         let mut qualities: Vec<f64> = run.frames.iter().filter_map(|f| f.mean()).collect();
         let within: Vec<f64> =
-            run.frames.iter().filter(|f| f.weight > 0.0).map(|f| f.within_target / f.weight).collect();
+            run.frames.iter().filter(|f| f.weight > 0.0).map(|f| (f.within_target / f.weight).min(1.0)).collect();
         let reached = run.frames.iter().position(|f| f.mean().is_some_and(|q| q >= 0.9));
         let below = qualities.iter().filter(|q| **q < 0.9).count();
         let mean_quality = mean(&qualities);

@@ -97,7 +97,7 @@ proptest! {
     }
 }
 
-/// A coarse parent over two leaves, seen so that both leaves weigh the same.
+/// A coarse parent, not the root, over two leaves, seen so that both leaves weigh the same.
 fn two_leaves() -> (LodTree, Cut) {
     let rep = |wire_bytes, error| Representation {
         wire_bytes,
@@ -108,6 +108,7 @@ fn two_leaves() -> (LodTree, Cut) {
     };
     let mut builder = LodTreeBuilder::default();
     builder.open().unwrap();
+    builder.open().unwrap();
     builder.add(rep(1000, 0.75)).unwrap();
     for x in [-6.0, 4.0] {
         builder.open().unwrap();
@@ -115,6 +116,7 @@ fn two_leaves() -> (LodTree, Cut) {
         let min = DVec3::new(x, -1.0, -21.0);
         builder.close(Some(Aabb { min, max: min + DVec3::new(2.0, 2.0, 1.0) }), 1.0).unwrap();
     }
+    builder.close(None, 1.0).unwrap();
     builder.close(None, 1.0).unwrap();
     let tree = builder.finish().unwrap();
     let view = View { position: DVec3::ZERO, orientation: DQuat::IDENTITY, fov_y: 1.0, viewport: [1600, 900] };

@@ -365,6 +365,8 @@ proptest! {
             for policy in one["policies"].as_array().expect("a list of policies") {
                 let mean = policy["mean_quality"].as_f64().expect("something is in view, so there is a quality");
                 prop_assert!(mean <= bound + 1e-9, "{}: {mean} > {bound}", policy["name"]);
+                let within = policy["share_within_16px"].as_f64().expect("something is in view, so there is a share");
+                prop_assert!((0.0..=1.0).contains(&within), "{}: {within}", policy["name"]);
             }
         }
     }

@@ -1,0 +1,180 @@
+//! What a decision is made of: the cut of a view, a sampling of the objective, a marginal, and the decision itself.
+//!
+//! The world is a quadtree of boxes on a square, one representation a node. 4⁷ leaves are as many as the built-in city
+//! has; 4¹⁰ are about 10⁶.
+
+use criterion::{BatchSize, BenchmarkId, Criterion};
+use foresight_scheduler::benefit::coverage::{Coverage, Refinement};
+use foresight_scheduler::benefit::cut::{Cut, CutSettings, Region};
+use foresight_scheduler::benefit::quality::evaluate;
+use foresight_scheduler::lod_tree::{Aabb, LodTree, LodTreeBuilder, LodTreeError, NodeId, RepId, Representation};
+use foresight_scheduler::policy::foresight::{Foresight, ForesightSettings};
+use foresight_scheduler::predict::PredictedPath;
+use foresight_scheduler::predict::motion::Speeds;
+use foresight_scheduler::scheduler::{Scheduler, SchedulerSettings};
+use foresight_scheduler::select::horizon::{Horizon, HorizonSettings};
+use foresight_scheduler::units::Time;
+use foresight_scheduler::view::View;
+use foresight_scheduler::worst_case::Reach;
+use glam::{DQuat, DVec3};
+use std::hint::black_box;
+use std::time::Duration;
+
+const CITY_LEVELS: u32 = 7;
+const LARGE_LEVELS: u32 = 10;
+/// Side of a leaf's footprint, metres.
+const LOT: f64 = 15.0;
+
+fn quadtree(levels: u32) -> Result<LodTree, LodTreeError> {
+    fn node(b: &mut LodTreeBuilder, level: u32, x: f64, z: f64) -> Result<(), LodTreeError> {
+        let side = LOT * libm::exp2(f64::from(level));
+        b.open()?;
+        let error = (side / 12.0) as f32;
+        let wire_bytes = 6000 + 500 * level;
+        b.add(Representation {
+            wire_bytes,
+            decoded_bytes: 3 * wire_bytes,
+            error,
+            prerequisite: None,
+            direction: None,
+        })?;
+        if level == 0 {
+            let height = 4.0 + libm::fmod(libm::fabs(7.0 * x + 3.0 * z), 31.0);
+            let min = DVec3::new(x, 0.0, z);
+            return b.close(Some(Aabb { min, max: min + DVec3::new(0.8 * LOT, height, 0.8 * LOT) }), 1.0);
+        }
+        let half = 0.5 * side;
+        for (dx, dz) in [(0.0, 0.0), (half, 0.0), (0.0, half), (half, half)] {
+            node(b, level - 1, x + dx, z + dz)?;
+        }
+        b.close(None, 1.0)
+    }
+    let mut builder = LodTreeBuilder::default();
+    let corner = -0.5 * LOT * libm::exp2(f64::from(levels));
+    node(&mut builder, levels, corner, corner)?;
+    builder.finish()
+}
+
+/// From above the roofs of the middle, looking ahead and a little down.
+fn view() -> View {
+    View {
+        position: DVec3::new(3.0, 60.0, 5.0),
+        orientation: DQuat::from_rotation_y(0.4) * DQuat::from_rotation_x(-0.2),
+        fov_y: 1.0,
+        viewport: [1920, 1080],
+    }
+}
+
+/// All but the finest two levels.
+fn coarse(tree: &LodTree) -> Vec<RepId> {
+    let is_coarse = |node: NodeId| !tree.is_leaf(node) && !tree.children(node).any(|child| tree.is_leaf(child));
+    (0..tree.representations() as u32).map(RepId).filter(|&r| is_coarse(tree.node_of(r))).collect()
+}
+
+fn held(tree: &LodTree) -> Coverage {
+    let mut coverage = Coverage::new(tree, Refinement::Partial);
+    for rep in coarse(tree) {
+        coverage.insert(tree, rep);
+    }
+    coverage
+}
+
+/// The objective as the policy samples it by default, from a camera at 10 m/s.
+fn sample(horizon: &mut Horizon, tree: &LodTree, planned: &Coverage) {
+    let settings = ForesightSettings::default();
+    let bounds: Vec<f64> =
+        (0..=settings.samples).map(|i| settings.horizon_s * i as f64 / settings.samples as f64).collect();
+    let here = view();
+    let views = bounds[1..].iter().map(|t| View { position: here.position + here.forward() * (10.0 * t), ..here });
+    let paths = [PredictedPath { weight: 1.0, views: views.collect() }];
+    let region = settings.reach.region(Speeds { linear: 10.0, angular: 0.5 }, settings.reuse_s);
+    let sampled = HorizonSettings {
+        alpha: settings.alpha,
+        attenuation: settings.attenuation,
+        tolerance: settings.tolerance,
+        cut: settings.cut,
+    };
+    horizon.make(tree, planned, &paths, &bounds, (&here, region), &sampled);
+}
+
+fn cuts(c: &mut Criterion, city: &LodTree, large: &LodTree) {
+    let mut group = c.benchmark_group("cut of a view");
+    let reachable = Reach::default().region(Speeds { linear: 10.0, angular: 0.5 }, 0.25);
+    for tree in [city, large] {
+        let leaves = tree.nodes() - tree.nodes() / 4;
+        for (name, region) in [("frustum", Region::Frustum), ("reachable", reachable)] {
+            let mut cut = Cut::default();
+            group.bench_function(BenchmarkId::new(name, leaves), |b| {
+                b.iter(|| {
+                    cut.make(tree, black_box(&view()), region, &CutSettings::default());
+                    cut.patches.len()
+                });
+            });
+        }
+    }
+    group.finish();
+}
+
+fn objective(c: &mut Criterion, city: &LodTree) {
+    let coverage = held(city);
+    let mut cut = Cut::default();
+    cut.make(city, &view(), Region::Frustum, &CutSettings::default());
+    c.bench_function("quality of a view", |b| b.iter(|| evaluate(city, &cut, black_box(&coverage), |_| {})));
+
+    let mut horizon = Horizon::default();
+    c.bench_function("sampling of the objective", |b| {
+        b.iter(|| {
+            sample(&mut horizon, city, black_box(&coverage));
+            horizon.patches()
+        });
+    });
+    let leaf = cut.patches.iter().map(|p| p.node).find(|&n| city.is_leaf(n)).and_then(|n| city.own(n).next());
+    for (name, rep) in [("marginal of a leaf", leaf), ("marginal of the root", city.own(city.root()).next())] {
+        if let Some(rep) = rep {
+            c.bench_function(name, |b| b.iter(|| horizon.marginal(city, &coverage, black_box(rep), 0.3)));
+        }
+    }
+}
+
+/// The first decision after a sampling is due, with the coarse levels resident.
+fn decision(c: &mut Criterion, city: &LodTree) {
+    let coarse = coarse(city);
+    let used: u64 = coarse.iter().map(|&r| city.decoded_bytes(r)).sum();
+    let mut group = c.benchmark_group("decision of foresight");
+    for (name, budget) in [("memory free", used + (64 << 20)), ("memory full", used + (16 << 10))] {
+        group.bench_function(name, |b| {
+            let fresh = || {
+                let policy = Foresight::new("foresight", ForesightSettings::default());
+                let mut scheduler = Scheduler::new(city, SchedulerSettings::with_budget(budget), Box::new(policy));
+                let preloaded = coarse.iter().try_for_each(|&rep| scheduler.preload(rep));
+                preloaded.map(|()| scheduler)
+            };
+            b.iter_batched(
+                fresh,
+                |scheduler| {
+                    let mut scheduler = scheduler?;
+                    scheduler.observe(&view(), Time::ZERO)?;
+                    let action = scheduler.next(Time::ZERO)?;
+                    // Handed back, so that dropping it is not measured.
+                    Ok::<_, foresight_scheduler::scheduler::SchedulerError>((action, scheduler))
+                },
+                BatchSize::LargeInput,
+            );
+        });
+    }
+    group.finish();
+}
+
+fn main() -> Result<(), LodTreeError> {
+    let (city, large) = (quadtree(CITY_LEVELS)?, quadtree(LARGE_LEVELS)?);
+    let mut c = Criterion::default()
+        .sample_size(20)
+        .warm_up_time(Duration::from_millis(500))
+        .measurement_time(Duration::from_secs(2))
+        .configure_from_args();
+    cuts(&mut c, &city, &large);
+    objective(&mut c, &city);
+    decision(&mut c, &city);
+    c.final_summary();
+    Ok(())
+}
