@@ -11,6 +11,11 @@
 //! nothing gains. The terms are sampled anew every D seconds ([ZK] §6); between, gains are re-evaluated lazily, which is
 //! exact because they only fall while the resident set grows.
 
+mod closure;
+mod settings;
+
+pub use settings::{Discards, ForesightSettings};
+
 use super::Policy;
 use crate::benefit::accuracy::accuracy;
 use crate::benefit::coverage::{Coverage, Refinement};
@@ -25,76 +30,9 @@ use crate::state::{ClientState, Status};
 use crate::units::Time;
 use crate::view::View;
 use crate::worst_case::Reach;
+use closure::{closure, common_ancestor, needed_by};
 use std::cmp::Ordering;
 use std::collections::{BinaryHeap, VecDeque};
-
-/// How room is made.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Discards {
-    /// By least loss per byte, and only if the swap gains.
-    #[default]
-    Planned,
-    /// By least recent use, whatever it costs (Teler & Lischinski plan none).
-    LeastRecentlyUsed,
-}
-
-/// Every constant of the policy, with its default.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ForesightSettings {
-    /// α ∈ [0, 1]: trust in the prediction.
-    pub alpha: f64,
-    /// δ₀, seconds: least span that the integral looks ahead.
-    pub horizon_s: f64,
-    /// D, seconds: evaluations are reused this long, and ε is at least this.
-    pub reuse_s: f64,
-    /// η: a swap must gain more than 1+η times its loss.
-    pub hysteresis: f64,
-    /// att(u) = exp(−rate·u), per second.
-    pub attenuation: f64,
-    /// o, seconds of link that a request costs beside its bytes.
-    pub request_cost_s: f64,
-    /// Intervals of the midpoint rule.
-    pub samples: usize,
-    /// How the cuts are made: opening angle, near plane, centre weighting κ.
-    pub cut: CutSettings,
-    /// Groups are opened until what could be gained beneath is this share of the gain of a typical choice. Where every
-    /// choice is worth much, little things are not looked at; where only little things are left, they are.
-    pub tolerance: f64,
-    /// Limits of the client's motion.
-    pub reach: Reach,
-    /// How room is made.
-    pub discards: Discards,
-    /// Whether a gain counts from the arrival of the bytes; otherwise from now.
-    pub gains_from_arrival: bool,
-    /// Whether every visible leaf is first given something.
-    pub cover_first: bool,
-    /// Requests are made while what is outstanding lasts less than the latency plus this, seconds.
-    pub slack_s: f64,
-    /// The predictor.
-    pub predictor: PredictorKind,
-}
-
-impl Default for ForesightSettings {
-    fn default() -> ForesightSettings {
-        ForesightSettings {
-            alpha: 0.7,
-            horizon_s: 4.0,
-            reuse_s: 0.25,
-            hysteresis: 0.1,
-            attenuation: 0.0,
-            request_cost_s: 0.0,
-            samples: 4,
-            cut: CutSettings { opening: 0.3, near: 0.1, centre_falloff: 0.0 },
-            tolerance: 0.1,
-            reach: Reach::default(),
-            discards: Discards::Planned,
-            gains_from_arrival: true,
-            cover_first: true,
-            slack_s: 0.05,
-            predictor: PredictorKind::Mixture,
-        }
-    }
-}
 
 /// Least and greatest gain beneath a group, share of a steradian, at which it is not opened.
 const TOLERANCES: (f64, f64) = (1e-7, 2e-3);
@@ -672,53 +610,4 @@ impl Policy for Foresight {
         self.predictor.announce_path(path);
         self.sampled = None;
     }
-}
-
-/// What must be fetched for `rep` to be of use, in order: missing prerequisites first, and under atomic refinement the
-/// missing members of its sibling group, each with its coarsest.
-fn closure(state: &ClientState, plan: &Coverage, rep: RepId) -> Vec<RepId> {
-    let tree = state.tree;
-    let mut members = Vec::new();
-    let mut with_prerequisites = |rep: RepId| {
-        let first = members.len();
-        let mut next = Some(rep);
-        while let Some(r) = next.filter(|r| !plan.contains(*r) && !members.contains(r)) {
-            members.push(r);
-            next = tree.prerequisite(r);
-        }
-        members[first..].reverse();
-    };
-    if plan.refinement() == Refinement::Atomic {
-        let node = tree.node_of(rep);
-        if !plan.counts(tree, node) {
-            for sibling in tree.sibling_group(tree.content_parent(node)) {
-                if sibling != node && !tree.own(sibling).any(|r| plan.contains(r)) {
-                    tree.own(sibling).next().into_iter().for_each(&mut with_prerequisites);
-                }
-            }
-        }
-    }
-    with_prerequisites(rep);
-    members
-}
-
-/// Whether one of `members` needs `rep` first.
-fn needed_by(state: &ClientState, rep: RepId, members: &[RepId]) -> bool {
-    state.tree.has_prerequisites()
-        && members.iter().any(|&m| core::iter::successors(Some(m), |&r| state.tree.prerequisite(r)).any(|r| r == rep))
-}
-
-/// The lowest node above all of `members`.
-fn common_ancestor(state: &ClientState, members: &[RepId]) -> NodeId {
-    let tree = state.tree;
-    let mut top = members.first().map_or(tree.root(), |&m| tree.node_of(m));
-    for &member in members {
-        while !tree.is_beneath(tree.node_of(member), top) {
-            match tree.parent(top) {
-                Some(parent) => top = parent,
-                None => return top,
-            }
-        }
-    }
-    top
 }

@@ -1,0 +1,73 @@
+//! Every constant of `foresight`, with its default, in one place.
+
+use crate::benefit::cut::CutSettings;
+use crate::predict::PredictorKind;
+use crate::worst_case::Reach;
+
+/// How room is made.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Discards {
+    /// By least loss per byte, and only if the swap gains.
+    #[default]
+    Planned,
+    /// By least recent use, whatever it costs (Teler & Lischinski plan none).
+    LeastRecentlyUsed,
+}
+
+/// Every constant of the policy, with its default.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ForesightSettings {
+    /// α ∈ [0, 1]: trust in the prediction.
+    pub alpha: f64,
+    /// δ₀, seconds: least span that the integral looks ahead.
+    pub horizon_s: f64,
+    /// D, seconds: evaluations are reused this long, and ε is at least this.
+    pub reuse_s: f64,
+    /// η: a swap must gain more than 1+η times its loss.
+    pub hysteresis: f64,
+    /// att(u) = exp(−rate·u), per second.
+    pub attenuation: f64,
+    /// o, seconds of link that a request costs beside its bytes.
+    pub request_cost_s: f64,
+    /// Intervals of the midpoint rule.
+    pub samples: usize,
+    /// How the cuts are made: opening angle, near plane, centre weighting κ.
+    pub cut: CutSettings,
+    /// Groups are opened until what could be gained beneath is this share of the gain of a typical choice. Where every
+    /// choice is worth much, little things are not looked at; where only little things are left, they are.
+    pub tolerance: f64,
+    /// Limits of the client's motion.
+    pub reach: Reach,
+    /// How room is made.
+    pub discards: Discards,
+    /// Whether a gain counts from the arrival of the bytes; otherwise from now.
+    pub gains_from_arrival: bool,
+    /// Whether every visible leaf is first given something.
+    pub cover_first: bool,
+    /// Requests are made while what is outstanding lasts less than the latency plus this, seconds.
+    pub slack_s: f64,
+    /// The predictor.
+    pub predictor: PredictorKind,
+}
+
+impl Default for ForesightSettings {
+    fn default() -> ForesightSettings {
+        ForesightSettings {
+            alpha: 0.7,
+            horizon_s: 4.0,
+            reuse_s: 0.25,
+            hysteresis: 0.1,
+            attenuation: 0.0,
+            request_cost_s: 0.0,
+            samples: 4,
+            cut: CutSettings { opening: 0.3, near: 0.1, centre_falloff: 0.0 },
+            tolerance: 0.1,
+            reach: Reach::default(),
+            discards: Discards::Planned,
+            gains_from_arrival: true,
+            cover_first: true,
+            slack_s: 0.05,
+            predictor: PredictorKind::Mixture,
+        }
+    }
+}
