@@ -116,7 +116,7 @@ fn cuts(c: &mut Criterion, city: &LodTree, large: &LodTree) {
 }
 
 fn objective(c: &mut Criterion, city: &LodTree) {
-    let coverage = held(city);
+    let mut coverage = held(city);
     let mut cut = Cut::default();
     cut.make(city, &view(), Region::Frustum, &CutSettings::default());
     c.bench_function("quality of a view", |b| b.iter(|| evaluate(city, &cut, black_box(&coverage), |_| {})));
@@ -131,7 +131,7 @@ fn objective(c: &mut Criterion, city: &LodTree) {
     let leaf = cut.patches.iter().map(|p| p.node).find(|&n| city.is_leaf(n)).and_then(|n| city.own(n).next());
     for (name, rep) in [("marginal of a leaf", leaf), ("marginal of the root", city.own(city.root()).next())] {
         if let Some(rep) = rep {
-            c.bench_function(name, |b| b.iter(|| horizon.marginal(city, &coverage, black_box(rep), 0.3)));
+            c.bench_function(name, |b| b.iter(|| horizon.marginal(city, &mut coverage, black_box(rep), 0.3)));
         }
     }
 }

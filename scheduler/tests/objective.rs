@@ -159,10 +159,11 @@ proptest! {
         let tree = tape.tree(24);
         let known = some_reps(&mut tape, &tree);
         let (horizon, offset) = horizon(&mut tape, &tree, &coverage_of(&tree, Refinement::Partial, &known));
-        let mut planned = coverage_of(&tree, Refinement::Partial, &some_reps(&mut tape, &tree));
+        let refinement = if tape.below(2) == 0 { Refinement::Partial } else { Refinement::Atomic };
+        let mut planned = coverage_of(&tree, refinement, &some_reps(&mut tape, &tree));
         for rep in reps(&tree) {
             for from in [0.0, offset] {
-                let marginal = horizon.marginal(&tree, &planned, rep, from);
+                let marginal = horizon.marginal(&tree, &mut planned, rep, from);
                 let was_there = !planned.insert(&tree, rep);
                 let with = horizon.benefit_beneath(&tree, &planned, tree.root(), from);
                 planned.remove(&tree, rep);
@@ -185,11 +186,11 @@ proptest! {
         let (horizon, offset) = horizon(&mut tape, &tree, &Coverage::new(&tree, Refinement::Partial));
         let large = some_reps(&mut tape, &tree);
         let small: Vec<RepId> = large.iter().copied().filter(|_| tape.below(2) == 0).collect();
-        let large_set = coverage_of(&tree, Refinement::Partial, &large);
-        let small_set = coverage_of(&tree, Refinement::Partial, &small);
+        let mut large_set = coverage_of(&tree, Refinement::Partial, &large);
+        let mut small_set = coverage_of(&tree, Refinement::Partial, &small);
         for rep in reps(&tree).filter(|r| !large.contains(r)) {
-            let to_large = horizon.marginal(&tree, &large_set, rep, offset);
-            let to_small = horizon.marginal(&tree, &small_set, rep, offset);
+            let to_large = horizon.marginal(&tree, &mut large_set, rep, offset);
+            let to_small = horizon.marginal(&tree, &mut small_set, rep, offset);
             prop_assert!(to_large >= 0.0 && to_small >= to_large - 1e-12, "{rep:?}: {to_small} {to_large}");
         }
         prop_assert!(horizon.objective(&tree, &small_set) <= horizon.objective(&tree, &large_set) + 1e-12);
@@ -207,7 +208,9 @@ proptest! {
         let last_used = |rep: RepId| rep.0 % 3;
         let kept = tape.below(5) as u32;
         let may_go = |rep: RepId| rep.0 % 5 != kept;
-        let per_byte = |rep: RepId| horizon.marginal(&tree, &before, rep, 0.0) / tree.decoded_bytes(rep).max(1) as f64;
+        let per_byte = |rep: RepId| {
+            horizon.marginal(&tree, &mut before.clone(), rep, 0.0) / tree.decoded_bytes(rep).max(1) as f64
+        };
         let mut victims = Victims::default();
         for &rep in &some {
             // Losses may be known too low; the choice must not rely on them.

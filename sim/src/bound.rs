@@ -28,7 +28,7 @@ const OPEN_SHARE: f64 = 1e-3;
 /// Multipliers are this grid: λ_i = LEAST·STEP^i. Between two neighbours the bound is at most a few per mille loose.
 const LEAST: f64 = 1e-13;
 const STEP: f64 = 1.3;
-const GRID: usize = 96;
+const GRID: usize = 144;
 /// A chain with more options than this makes a frame's bound the trivial 1.
 const OPTIONS_MAX: usize = 256;
 /// Rounding of single-precision areas, added so that it stays a bound.

@@ -19,6 +19,7 @@ use foresight_scheduler::units::Time;
 use glam::DVec3;
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, StudentsT};
+use std::collections::BTreeSet;
 
 /// Below this ρ policies cannot differ.
 const RHO_WARNED: f64 = 0.1;
@@ -227,19 +228,18 @@ fn smallest_closure(tree: &LodTree) -> u64 {
 /// The first frame's needs as far as they fit.
 fn first_need(tree: &LodTree, needs: &Needs, budget: u64) -> Vec<RepId> {
     let mut used = 0;
-    let first = needs.frames.iter().find(|f| !f.is_empty());
-    first
-        .into_iter()
-        .flatten()
-        .copied()
-        .filter(|&rep| {
-            let fits = used + tree.decoded_bytes(rep) <= budget;
-            if fits {
-                used += tree.decoded_bytes(rep);
-            }
-            fits
-        })
-        .collect()
+    let mut first = needs.frames.iter().find(|f| !f.is_empty()).cloned().unwrap_or_default();
+    // A prerequisite has the lower id: it is there, or left out, before what needs it.
+    first.sort_unstable();
+    let mut kept = BTreeSet::new();
+    for rep in first {
+        let usable = tree.prerequisite(rep).is_none_or(|p| kept.contains(&p));
+        if usable && used + tree.decoded_bytes(rep) <= budget {
+            used += tree.decoded_bytes(rep);
+            kept.insert(rep);
+        }
+    }
+    kept.into_iter().collect()
 }
 
 /// Of each policy's variants in hindsight, keeps the one with the least deficit, under a name that says so.

@@ -19,17 +19,15 @@ pub use settings::{Discards, ForesightSettings};
 use super::Policy;
 use crate::benefit::accuracy::accuracy;
 use crate::benefit::coverage::{Coverage, Refinement};
-use crate::benefit::cut::CutSettings;
 use crate::lod_tree::{NodeId, RepId};
+use crate::predict::Predictor;
 use crate::predict::motion::Motion;
-use crate::predict::{Predictor, PredictorKind};
 use crate::scheduler::Action;
 use crate::select::discard::{Victim, Victims};
 use crate::select::horizon::{Horizon, HorizonSettings};
 use crate::state::{ClientState, Status};
 use crate::units::Time;
 use crate::view::View;
-use crate::worst_case::Reach;
 use closure::{closure, common_ancestor, needed_by};
 use std::cmp::Ordering;
 use std::collections::{BinaryHeap, VecDeque};
@@ -304,7 +302,12 @@ impl Foresight {
         let (gain, touched) = (&mut self.gain, &mut self.touched);
         self.horizon.for_each(tree, plan, offset, |patch, share, chain, _| {
             let Some(owner) = chain.owner.filter(|_| planned && share > 0.0) else { return };
-            let mut second = tree.parent(owner).map_or(f32::INFINITY, |p| plan.best_above(tree, p));
+            let mut second = if tree.errors_fall() {
+                tree.parent(owner).map_or(f32::INFINITY, |p| plan.best_above(tree, p))
+            } else {
+                let others = tree.ancestors(patch.node).filter(|&n| n != owner);
+                others.fold(f32::INFINITY, |second, n| second.min(plan.best_at(n)))
+            };
             let mut first = None;
             for rep in tree.own(owner).filter(|&r| plan.contains(r)) {
                 if first.is_none() && tree.error(rep) as f32 == chain.best {
@@ -489,7 +492,7 @@ impl Foresight {
     }
 
     /// A request that has lost its point: nothing gained by it any more, or far less than by the best candidate.
-    fn pointless_request(&mut self, state: &ClientState, plan: &Coverage) -> Option<RepId> {
+    fn pointless_request(&mut self, state: &ClientState, plan: &mut Coverage) -> Option<RepId> {
         let asked: u64 = state.requests().iter().map(|r| state.tree.wire_bytes(r.rep)).sum();
         let left = state.outstanding_bytes() as f64 / asked.max(1) as f64;
         let best = self.candidates.peek().map_or(0.0, |c| c.ratio);

@@ -80,7 +80,7 @@ impl Victims {
         may_go: impl Fn(RepId) -> bool,
     ) -> Option<Sacrifice> {
         let mut sacrifice = Sacrifice::default();
-        let weigh = |planned: &Coverage, rep: RepId| Victim {
+        let weigh = |planned: &mut Coverage, rep: RepId| Victim {
             loss_per_byte: horizon.marginal(tree, planned, rep, offset) / tree.decoded_bytes(rep).max(1) as f64,
             last_used: last_used(rep),
             rep,
@@ -101,7 +101,13 @@ impl Victims {
                 }
                 self.heap.push(Reverse(fresh));
             }
-            let nearest = near.iter().filter(|&&r| planned.contains(r)).map(|&r| weigh(planned, r)).min();
+            let mut nearest = None;
+            for &rep in near.iter() {
+                if planned.contains(rep) {
+                    let fresh = weigh(planned, rep);
+                    nearest = Some(nearest.map_or(fresh, |n: Victim| n.min(fresh)));
+                }
+            }
             let victim = match (first, nearest) {
                 (Some(a), Some(b)) if b < a => {
                     self.heap.push(Reverse(a));

@@ -6,7 +6,7 @@
 //! below a tolerance, so that every choice that matters has its own patches.
 
 use crate::benefit::accuracy::accuracy;
-use crate::benefit::coverage::Coverage;
+use crate::benefit::coverage::{Coverage, Refinement};
 use crate::benefit::cut::{Cut, CutSettings, Patch, Region, projected_area};
 use crate::lod_tree::{LodTree, NodeId, RepId};
 use crate::predict::PredictedPath;
@@ -145,8 +145,11 @@ impl Horizon {
     }
 
     /// ΔJ of having `rep` beside everything else in `planned`, counted from `offset` seconds on: a gain if it is not
-    /// planned, the loss of discarding it if it is.
-    pub fn marginal(&self, tree: &LodTree, planned: &Coverage, rep: RepId, offset: f64) -> f64 {
+    /// planned, the loss of discarding it if it is. `planned` is altered and restored on the way.
+    pub fn marginal(&self, tree: &LodTree, planned: &mut Coverage, rep: RepId, offset: f64) -> f64 {
+        if planned.refinement() == Refinement::Atomic {
+            return self.marginal_of_group(tree, planned, rep, offset);
+        }
         let node = tree.node_of(rep);
         let error = tree.error(rep) as f32;
         let mut above = f32::INFINITY;
@@ -188,6 +191,21 @@ impl Horizon {
             sum += share * part;
         }
         sum
+    }
+
+    /// As [`Horizon::marginal`] where a sibling group counts together: the difference over all that the group shows.
+    fn marginal_of_group(&self, tree: &LodTree, planned: &mut Coverage, rep: RepId, offset: f64) -> f64 {
+        let top = tree.content_parent(tree.node_of(rep)).unwrap_or(tree.root());
+        let before = self.benefit_beneath(tree, planned, top, offset);
+        if planned.remove(tree, rep) {
+            let after = self.benefit_beneath(tree, planned, top, offset);
+            planned.insert(tree, rep);
+            return (before - after).max(0.0);
+        }
+        planned.insert(tree, rep);
+        let after = self.benefit_beneath(tree, planned, top, offset);
+        planned.remove(tree, rep);
+        (after - before).max(0.0)
     }
 
     /// Σ w·a over what lies beneath `node`, counted from `offset` on.
