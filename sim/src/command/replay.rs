@@ -19,6 +19,8 @@ const HINDSIGHT_TARGETS_PX: [f64; 5] = [1.0, 2.0, 4.0, 8.0, 16.0];
 /// Memory without `--memory`: what puts the built-in flight under some pressure, and otherwise what viewers use.
 const BUILT_IN_MEMORY: u64 = 16 << 20;
 const MEMORY: u64 = 256 << 20;
+/// Starts without `--starts` on the built-in link: one offset into it says little.
+const BUILT_IN_STARTS: u32 = 4;
 
 #[derive(Debug, Args)]
 #[command(
@@ -43,10 +45,10 @@ pub(crate) struct ReplayArgs {
     policy: String,
     /// Memory budget: bytes, 256MiB, 1GB, or mu:0.5 for half of the largest need; 256MiB if not given, and 16MiB for
     /// the built-in world
-    #[arg(long, value_name = "SIZE", value_parser = memory)]
+    #[arg(long, value_name = "SIZE", value_parser = memory, allow_hyphen_values = true)]
     memory: Option<Memory>,
     /// Trust in the prediction, 0 to 1
-    #[arg(long, default_value_t = 0.7)]
+    #[arg(long, default_value_t = 0.7, value_parser = trust, allow_hyphen_values = true)]
     alpha: f64,
     /// Pixels of error that lookahead and 3d-tiles-renderer aim at (they ship with 16); best adds each at its best of
     /// 1, 2, 4, 8 and 16 px in hindsight
@@ -60,9 +62,10 @@ pub(crate) struct ReplayArgs {
     /// Start with what the first view needs resident
     #[arg(long)]
     warm: bool,
-    /// Repeat over this many seeded offsets in the link, and give 95 % intervals
-    #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
-    starts: u32,
+    /// Repeat over this many seeded offsets in the link, and give 95 % intervals; 1 if not given, and 4 for the built-in
+    /// link
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    starts: Option<u32>,
     /// Seed of the offsets
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -103,7 +106,7 @@ impl ReplayArgs {
             refinement: Refinement::Partial,
             path_args: PathArgs::default(),
             warm: false,
-            starts: 1,
+            starts: None,
             seed: 1,
             decode_rate: 200e6,
             upload_budget: 8 << 20,
@@ -138,6 +141,11 @@ fn memory(text: &str) -> Result<Memory, String> {
     Ok(Memory::Bytes(bytes as u64))
 }
 
+fn trust(text: &str) -> Result<f64, String> {
+    let alpha = text.parse::<f64>().ok().filter(|alpha| (0.0..=1.0).contains(alpha));
+    alpha.ok_or_else(|| format!("`{text}`; expected a number from 0 to 1"))
+}
+
 fn refinement(text: &str) -> Result<Refinement, String> {
     match text {
         "partial" => Ok(Refinement::Partial),
@@ -147,9 +155,6 @@ fn refinement(text: &str) -> Result<Refinement, String> {
 }
 
 pub(crate) fn run(args: ReplayArgs) -> anyhow::Result<()> {
-    if !(0.0..=1.0).contains(&args.alpha) {
-        bail!("--alpha {}; expected a number from 0 to 1", args.alpha);
-    }
     if !(args.opening >= 0.0 && args.opening <= 2.0) {
         bail!("--opening {}; expected an angle from 0 to 2", args.opening);
     }
@@ -182,13 +187,14 @@ pub(crate) fn run(args: ReplayArgs) -> anyhow::Result<()> {
     let as_is = args.world.is_none() && args.path.is_none();
     let placed = inputs::place(&path, &world, as_is, &args.path_args)?;
 
+    let count = args.starts.unwrap_or(if args.link.is_none() { BUILT_IN_STARTS } else { 1 });
     let base = SchedulerSettings::with_budget(0);
     let plan = Plan {
         tree: &world.tree,
         up: world.up,
         flight: &placed.flight,
         link: &link,
-        starts: starts(&link, args.starts as usize, args.seed),
+        starts: starts(&link, count as usize, args.seed),
         policies,
         hindsight_targets: hindsight,
         memory: args.memory.unwrap_or(Memory::Bytes(if args.world.is_none() { BUILT_IN_MEMORY } else { MEMORY })),
