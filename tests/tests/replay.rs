@@ -119,7 +119,7 @@ fn without_arguments_it_compares_and_reports() {
 
 #[test]
 fn the_document_has_the_fields_of_its_schema() {
-    let document = document(&["--duration", "10"]);
+    let document = document(&["--duration", "10", "--starts", "1"]);
     assert_eq!(fields(&document), BTreeSet::from(DOCUMENT));
     assert_eq!(document["schema_version"], 1);
     assert_eq!(fields(&document["pressure"]), BTreeSet::from(["lambda", "rho", "mu", "largest_need_bytes"]));
