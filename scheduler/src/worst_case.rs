@@ -18,17 +18,21 @@ pub struct Reach {
     pub angular_max: f64,
     /// Nobody looks from closer than this, metres.
     pub stand_off: f64,
+    /// Speeds that the client declares instead of those that its recent motion shows: what is reachable then does not
+    /// wait for the first sudden turn.
+    pub declared: Option<Speeds>,
 }
 
 impl Default for Reach {
     fn default() -> Reach {
-        Reach { linear_max: f64::MAX, angular_max: core::f64::consts::TAU, stand_off: 0.5 }
+        Reach { linear_max: f64::MAX, angular_max: core::f64::consts::TAU, stand_off: 0.5, declared: None }
     }
 }
 
 impl Reach {
-    /// Everything reachable from a view within `epsilon` seconds at `speeds`, capped.
+    /// Everything reachable from a view within `epsilon` seconds at `speeds`, or those declared, capped.
     pub fn region(&self, speeds: Speeds, epsilon: f64) -> Region {
+        let speeds = self.declared.unwrap_or(speeds);
         Region::Reachable {
             angle: speeds.angular.min(self.angular_max) * epsilon,
             reach: speeds.linear.min(self.linear_max) * epsilon,

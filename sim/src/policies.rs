@@ -63,7 +63,7 @@ pub enum PolicySpecError {
 }
 
 const OBJECTIVE_OPTIONS: &str = "alpha, predictor, discards, arrival, cover, horizon, reuse, hysteresis, attenuation, \
-                                 samples, opening, falloff, tolerance, slack or request-cost";
+                                 samples, opening, falloff, tolerance, slack, turn-rate, speed or request-cost";
 
 impl PolicySpec {
     /// Parses a list separated by commas, or `all`. `alpha` is the default of those that have one.
@@ -131,6 +131,12 @@ impl PolicySpec {
             "opening" => s.cut.opening = number(0.0, 2.0, "an angle from 0 to 2")?,
             "falloff" => s.cut.centre_falloff = number(0.0, 100.0, "a number from 0 to 100")?,
             "tolerance" => s.tolerance = number(0.0, 1.0, "a solid angle from 0 to 1")?,
+            "turn-rate" | "speed" => {
+                let mut speeds = s.reach.declared.unwrap_or_default();
+                let value = number(0.0, 1e6, "a speed in rad/s or m/s from 0 to 1000000")?;
+                *(if key == "speed" { &mut speeds.linear } else { &mut speeds.angular }) = value;
+                s.reach.declared = Some(speeds);
+            }
             "slack" => s.slack_s = number(0.0, 60.0, "seconds from 0 to 60")?,
             "request-cost" => s.request_cost_s = number(0.0, 60.0, "seconds from 0 to 60")?,
             "arrival" => s.gains_from_arrival = switch("on", "off", "on or off")?,

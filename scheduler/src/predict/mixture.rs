@@ -28,6 +28,8 @@ const METRES_PER_RADIAN: f64 = 20.0;
 const GAUSS_HERMITE_NODE: f64 = 1.732_050_807_568_877_2;
 /// Greatest spread of the direction, radians.
 const SPREAD_MAX: f64 = 0.6;
+/// Least variance of an error, rad².
+const LEAST_VARIANCE: f64 = 1e-4;
 /// How long the head's usual direction remembers, seconds.
 const USUAL_S: f64 = 6.0;
 /// How fast a turned head comes back, seconds.
@@ -43,6 +45,8 @@ pub struct Mixture {
     weight: [f64; COMPONENTS],
     variance: [f64; COMPONENTS],
     pending: VecDeque<(Time, [View; COMPONENTS])>,
+    /// Predictions judged so far.
+    judged: u32,
 }
 
 impl Default for Mixture {
@@ -54,6 +58,7 @@ impl Default for Mixture {
             weight: [0.6, 0.1, 0.3],
             variance: [0.1; COMPONENTS],
             pending: VecDeque::new(),
+            judged: 0,
         }
     }
 }
@@ -103,11 +108,15 @@ impl Mixture {
                     self.weight[i] * libm::exp(-0.5 * squared[i] / self.variance[i]) / self.variance[i].sqrt();
             }
             let total: f64 = likelihood.iter().sum();
+            // The first judgements are averaged evenly, so that what was assumed at the start is soon forgotten.
+            self.judged += 1;
+            let kept = KEPT.min(1.0 - 1.0 / f64::from(self.judged + 1));
             for i in 0..COMPONENTS {
                 let responsibility = if total > 0.0 { likelihood[i] / total } else { 1.0 / COMPONENTS as f64 };
-                self.weight[i] = KEPT * self.weight[i] + (1.0 - KEPT) * responsibility;
-                let step = (1.0 - KEPT) * responsibility / self.weight[i].max(1e-3);
-                self.variance[i] = (self.variance[i] + step.min(1.0) * (squared[i] - self.variance[i])).max(1e-3);
+                self.weight[i] = kept * self.weight[i] + (1.0 - kept) * responsibility;
+                let step = (1.0 - kept) * responsibility / self.weight[i].max(1e-3);
+                self.variance[i] =
+                    (self.variance[i] + step.min(1.0) * (squared[i] - self.variance[i])).max(LEAST_VARIANCE);
             }
             self.pending.pop_front();
         }

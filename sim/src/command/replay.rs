@@ -28,7 +28,7 @@ const BUILT_IN_STARTS: u32 = 4;
     foresight-sim replay --policy foresight,foresight:alpha=1:predictor=true-path,clairvoyant\n  foresight-sim replay --error-target best --link constant:5Mbit,40ms\n\n\
     A policy takes options after colons:\n  foresight, added-benefit, clairvoyant: alpha, predictor (constant-velocity, constant-turn, kalman, mixture, known-path,\n    \
     true-path), discards (planned, lru), arrival (on, off), cover (on, off), horizon, reuse, hysteresis, attenuation, samples,\n    \
-    opening, falloff, tolerance, slack, request-cost\n  lookahead, 3d-tiles-renderer: target (pixels), parallel"
+    opening, falloff, tolerance, slack, turn-rate and speed (declared, rad/s and m/s), request-cost\n  lookahead, 3d-tiles-renderer: target (pixels), parallel"
 )]
 pub(crate) struct ReplayArgs {
     /// A world directory, tileset.json or generated city; the built-in city if not given
