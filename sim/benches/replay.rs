@@ -10,7 +10,7 @@ use foresight_sim::bound::{CheapestBeneath, FrameBound, Limits};
 use foresight_sim::client::ClientSettings;
 use foresight_sim::flight::Flight;
 use foresight_sim::link;
-use foresight_sim::path::flight;
+use foresight_sim::path::built_in;
 use foresight_sim::policies::{NAMES, PolicySpec};
 use foresight_sim::replay::{Stage, replay};
 use std::error::Error;
@@ -27,7 +27,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         .measurement_time(Duration::from_secs(5))
         .configure_from_args();
     let tree = built_in_city().tree;
-    let path = flight::built_in();
+    let path = built_in();
     let flight = Flight::sample(SECONDS, |t| {
         let (position, orientation) = path.at(t);
         View { position, orientation, fov_y: 60f64.to_radians(), viewport: [1920, 1080] }

@@ -84,7 +84,7 @@ pub(crate) fn open_link(spec: Option<&str>) -> anyhow::Result<LinkTrace> {
 
 /// The built-in flight, `steady` or `turn` with `:speed=M/S,duration=S`, or a file.
 pub(crate) fn open_path(name: Option<&str>, args: &PathArgs) -> anyhow::Result<CameraPath> {
-    let Some(name) = name else { return Ok(path::flight::built_in()) };
+    let Some(name) = name else { return Ok(path::built_in()) };
     let kind = name.split(':').next().unwrap_or_default();
     if !matches!(kind, "steady" | "turn") || Path::new(name).exists() {
         let options = Options { camera_axes: args.camera_axes, quat_order: args.quat_order, up: args.path_up };

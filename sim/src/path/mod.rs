@@ -1,7 +1,7 @@
 //! Camera paths: recorded or made poses over time, and the pose between them.
 
 mod axes;
-pub mod flight;
+mod built_in;
 pub mod parse;
 pub mod place;
 pub mod turn;
@@ -14,6 +14,7 @@ mod path_tests;
 use glam::{DQuat, DVec3};
 
 pub use axes::{Axis, CameraAxes, QuatOrder};
+pub use built_in::built_in;
 pub use place::Placement;
 
 /// Farthest coordinate accepted, metres.

@@ -4,7 +4,7 @@ use glam::{DQuat, DVec3};
 use proptest::prelude::*;
 
 use super::place::{Placement, Site, place};
-use super::{CameraPath, Pose, flight, turn};
+use super::{CameraPath, Pose, built_in, turn};
 
 fn pose(time: f64, position: [f64; 3]) -> Pose {
     Pose { time, position: position.into(), orientation: DQuat::IDENTITY }
@@ -87,7 +87,7 @@ fn orientations_take_the_shortest_arc_at_constant_speed() {
 
 #[test]
 fn slices_agree_with_the_whole() {
-    let whole = flight::built_in();
+    let whole = built_in();
     let part = whole.slice(10.004, 20.0).unwrap();
     assert!((part.duration() - 20.0).abs() < 1e-9);
     for k in 0..2000 {
@@ -164,7 +164,7 @@ fn placements_are_parsed_and_refused() {
         assert!(bad.parse::<Placement>().is_err(), "{bad}");
     }
     let site = Site { centre: DVec3::ZERO, up: DVec3::Z, ground_height: 0.0 };
-    let error = place(&flight::built_in(), &Placement::Geo, &site).unwrap_err().to_string();
+    let error = place(&built_in(), &Placement::Geo, &site).unwrap_err().to_string();
     assert!(error.contains("this path carries no geographic coordinates"), "{error}");
     for site in [
         Site { up: DVec3::ZERO, ..site },
@@ -173,13 +173,13 @@ fn placements_are_parsed_and_refused() {
         Site { ground_height: f64::NAN, ..site },
         Site { ground_height: 1e300, ..site },
     ] {
-        assert!(place(&flight::built_in(), &Placement::default(), &site).is_err());
+        assert!(place(&built_in(), &Placement::default(), &site).is_err());
     }
 }
 
 #[test]
 fn the_built_in_flight_is_what_it_says() {
-    let path = flight::built_in();
+    let path = built_in();
     assert_eq!((path.duration(), path.poses().len()), (60.0, 3601));
     assert!(path.notes().is_empty(), "{:?}", path.notes());
     for pair in path.poses().windows(2) {

@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 
 use glam::DVec3;
 
-use super::flight::{RATE, look, smoothstep};
+use super::built_in::{RATE, look, smoothstep};
 use super::{CameraPath, PathError, Pose};
 
 /// Seconds that [`turn`] takes to turn around.
