@@ -96,6 +96,9 @@ pub struct LodTree {
     errors_fall: bool,
 }
 
+/// Deepest tree accepted. An octree that halves the Earth down to a millimetre has 34 levels.
+pub const DEPTH_MAX: usize = 1000;
+
 /// Why a tree cannot be built.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum LodTreeError {
@@ -150,6 +153,11 @@ pub enum LodTreeError {
         /// As given.
         importance: f32,
     },
+    /// A tree deeper than [`DEPTH_MAX`].
+    #[error(
+        "the tree is more than {DEPTH_MAX} levels deep; expected at most that, because decisions walk from leaf to root"
+    )]
+    TooDeep,
     /// More nodes or representations than 32-bit ids can name.
     #[error("more than 2^32 - 2 {0}")]
     TooMany(&'static str),
@@ -199,6 +207,9 @@ impl LodTreeBuilder {
             None if id == 0 => u32::MAX,
             None => return Err(LodTreeError::Nesting("a second root was opened")),
         };
+        if self.open.len() >= DEPTH_MAX {
+            return Err(LodTreeError::TooDeep);
+        }
         self.tree.parent.push(parent);
         self.tree.subtree_end.push(0);
         self.tree.centre.push(DVec3::ZERO);
@@ -585,17 +596,18 @@ mod tests {
     }
 
     #[test]
-    fn a_chain_of_a_hundred_thousand_nodes_is_built_without_recursion() -> Result<(), LodTreeError> {
+    fn a_tree_too_deep_to_walk_is_refused() -> Result<(), LodTreeError> {
         let mut b = LodTreeBuilder::default();
-        for _ in 0..100_000 {
+        for _ in 0..DEPTH_MAX {
             b.open()?;
         }
+        assert_eq!(b.open(), Err(LodTreeError::TooDeep));
         b.add(rep(1, 0.0))?;
         b.close(Some(unit(0.0)), 1.0)?;
-        for _ in 1..100_000 {
+        for _ in 1..DEPTH_MAX {
             b.close(None, 1.0)?;
         }
-        assert_eq!(b.finish()?.ancestors(NodeId(99_999)).count(), 100_000);
+        assert_eq!(b.finish()?.ancestors(NodeId(DEPTH_MAX as u32 - 1)).count(), DEPTH_MAX);
         Ok(())
     }
 }
