@@ -1,4 +1,4 @@
-//! The LOD tree: the one shape that every kind of world takes (DESIGN §1).
+//! The LOD tree: the one shape that every kind of world takes.
 //!
 //! A node has a bounding box, its children lie inside it, and it can own representations, each of which shows
 //! everything beneath the node. The arrays are flat and in preorder: the subtree of a node is one interval of ids,

@@ -1,4 +1,4 @@
-//! What the link costs, estimated from transfers: c seconds per byte, τ seconds of latency ([ZK] §5, d = cM + τ).
+//! What the link costs, estimated from transfers: c seconds per byte, τ seconds of latency (\[ZK\] §5, d = cM + τ).
 //!
 //! c is bytes per *busy* link-second: time during which at least one request was receiving. Durations of single
 //! requests say nothing where requests overlap.

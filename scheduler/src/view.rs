@@ -2,7 +2,7 @@
 
 use glam::{DQuat, DVec3};
 
-/// One view of the world, DESIGN §1: v = (p, q, fov, viewport).
+/// One view of the world: v = (p, q, fov, viewport).
 ///
 /// `orientation` turns camera space into world space; the camera looks along −z, +y is up, +x is right.
 #[derive(Clone, Copy, Debug, PartialEq)]

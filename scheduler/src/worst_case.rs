@@ -1,4 +1,4 @@
-//! What is left if the prediction fails: the worst case W of DESIGN §1, reading `union` ([ZK] §5).
+//! What is left if the prediction fails: the worst case W of the objective (ARCHITECTURE.md), reading `union` (\[ZK\] §5).
 //!
 //! Everything that some view reachable within ε could see counts with its whole solid angle from where the camera is,
 //! shown from the nearest point that the camera could reach; the sum is scaled to at most the frustum, so that α keeps

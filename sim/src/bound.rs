@@ -1,4 +1,4 @@
-//! A proven upper bound on the quality of any policy, frame by frame (DESIGN §5 (a)).
+//! A proven upper bound on the quality of any policy, frame by frame.
 //!
 //! Whatever a policy does, what is resident at time t took at most W bytes of link (all that the link could deliver by
 //! then, and what was there at the start) and at most the memory budget. So the quality of the frame is at most the best

@@ -68,7 +68,7 @@ pub struct Inputs {
     pub fov_y_deg: f64,
 }
 
-/// Pressure figures of DESIGN §3.
+/// Whether the comparison can mean anything: demand against supply.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct Pressure {
     /// λ: bytes newly needed after the first frame ÷ (duration × mean link rate).

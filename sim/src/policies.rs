@@ -18,6 +18,11 @@ pub const NAMES: [&str; 5] = ["foresight", "added-benefit", "lookahead", "3d-til
 /// Those whose error target can be set; each as shipped aims at 16 px.
 pub const WITH_TARGET: [&str; 2] = ["lookahead", "3d-tiles-renderer"];
 
+/// Whether a policy of this label knows the true path: no client could run it.
+pub fn knows_the_future(label: &str) -> bool {
+    label.starts_with("clairvoyant") || label.contains("predictor=true-path")
+}
+
 /// A policy with its options, as on the command line: `name[:key=value…]`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PolicySpec {
@@ -158,11 +163,6 @@ impl PolicySpec {
             _ => return Err(unknown()),
         }
         Ok(())
-    }
-
-    /// Whether the policy knows what no online policy can.
-    pub fn is_clairvoyant(&self) -> bool {
-        self.true_path
     }
 
     /// The same policy aiming at another error.

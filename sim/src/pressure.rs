@@ -1,4 +1,4 @@
-//! Whether a comparison can mean anything: what the path needs against what link and memory give (DESIGN §3).
+//! Whether a comparison can mean anything: what the path needs against what link and memory give.
 
 use foresight_scheduler::benefit::accuracy::{HALF_ACCURACY_PX, RIVALS_TARGET_PX};
 use foresight_scheduler::benefit::cut::Cut;

@@ -1,6 +1,6 @@
 //! How well an error on the screen shows what is there.
 
-/// Error on the screen, pixels, at which the accuracy is one half: e₀ of DESIGN §1. 16 px then give 0.9.
+/// Error on the screen, pixels, at which the accuracy is one half: e₀ of ARCHITECTURE.md. 16 px then give 0.9.
 pub const HALF_ACCURACY_PX: f64 = 48.0;
 
 /// Error on the screen, pixels, that the rival viewers aim at.

@@ -63,7 +63,7 @@ pub enum Region {
     /// The view's frustum; weights are clipped to it.
     Frustum,
     /// The union of everything reachable by turning `angle` radians and moving `reach` metres: a leaf that meets it
-    /// weighs its whole solid angle, and its distance is `reach` less, but at least `stand_off` ([ZK] §5, `union`).
+    /// weighs its whole solid angle, and its distance is `reach` less, but at least `stand_off` (\[ZK\] §5, `union`).
     Reachable {
         /// ωε, radians.
         angle: f64,

@@ -1,4 +1,4 @@
-//! What a view is worth: weight × accuracy, over a cut of the tree (DESIGN §1, B_R(v) = Σ w q).
+//! What a view is worth: weight × accuracy, over a cut of the tree (B_R(v) = Σ w q).
 
 pub mod accuracy;
 pub mod coverage;

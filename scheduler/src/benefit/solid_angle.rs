@@ -27,6 +27,10 @@ pub fn of_box_in_frustum(centre: DVec3, half: DVec3, frustum: &Frustum, straddle
     }
     let mut product = Turn::NONE;
     for face in visible_faces(centre, half) {
+        if straddled == 0 {
+            product.add_polygon(&face);
+            continue;
+        }
         let mut polygon: Polygon = ([DVec3::ZERO; 10], 4);
         polygon.0[..4].copy_from_slice(&face);
         for (i, plane) in frustum.planes.iter().enumerate() {

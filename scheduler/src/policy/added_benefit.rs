@@ -1,4 +1,4 @@
-//! `added-benefit`: [ZK] eq. 2, the policy of Teler & Lischinski (2001).
+//! `added-benefit`: \[ZK\] eq. 2, the policy of Teler & Lischinski (2001).
 //!
 //! Greedy by ∫ b(v_t) ⊖ b_now(v_t) dt per second of transfer along the path predicted by constant velocity. No worst case
 //! (α = 1), no discards planned: when memory is full, the least recently used go. Settled: the gain counts from now, as

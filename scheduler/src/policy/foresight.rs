@@ -1,4 +1,4 @@
-//! `foresight`: the objective of DESIGN §1 with everything in it.
+//! `foresight`: the objective of ARCHITECTURE.md with everything in it.
 //!
 //! Rank every closure by net return per second of link occupancy,
 //!
@@ -8,7 +8,7 @@
 //!
 //! with the predicted paths weighing α and the worst case 1 − α; fetch the best while the pipeline has room; when memory
 //! is full, grow the discards X by least loss per byte and swap only if the gain exceeds (1+η) times their loss; wait if
-//! nothing gains. The terms are sampled anew every D seconds ([ZK] §6); between, gains are re-evaluated lazily, which is
+//! nothing gains. The terms are sampled anew every D seconds (\[ZK\] §6); between, gains are re-evaluated lazily, which is
 //! exact because they only fall while the resident set grows.
 
 mod closure;

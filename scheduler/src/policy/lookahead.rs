@@ -1,4 +1,4 @@
-//! `lookahead`: the prefetching queue of [HIBR] §6.2.
+//! `lookahead`: the prefetching queue of \[HIBR\] §6.2.
 //!
 //! Seven positions: the viewer's, and six around it along the axes at the size L of the smallest cell in use. Each
 //! requires a set, whatever the direction of view: the coarsest cut with g · pixels per radian / d ≤ target, d (m) from

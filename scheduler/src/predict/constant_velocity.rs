@@ -6,7 +6,7 @@ use crate::units::Time;
 use crate::view::View;
 use glam::DVec3;
 
-/// p(t+u) = p + v·u, orientation held: the prediction of [ZK]'s predecessors.
+/// p(t+u) = p + v·u, orientation held: the prediction of \[ZK\]'s predecessors.
 #[derive(Clone, Debug, Default)]
 pub struct ConstantVelocity {
     motion: Motion,

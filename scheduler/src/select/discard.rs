@@ -1,4 +1,4 @@
-//! What to give up when memory is full: least loss per byte first, losses re-evaluated after each ([ZK] §4).
+//! What to give up when memory is full: least loss per byte first, losses re-evaluated after each (\[ZK\] §4).
 
 use super::horizon::Horizon;
 use crate::benefit::coverage::Coverage;

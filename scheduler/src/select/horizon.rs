@@ -1,6 +1,6 @@
 //! The objective over the time ahead, sampled: J(R) as a sum over patches.
 //!
-//! The integral of DESIGN §1 is a midpoint rule over intervals of [t, t+δ], one cut per interval and predicted path; the
+//! The integral of ARCHITECTURE.md is a midpoint rule over intervals of [t, t+δ], one cut per interval and predicted path; the
 //! worst case is one more cut. Every patch then adds w·a(least error at or above it), with α, the path's belief, the
 //! attenuation and the cut's scale folded into w. Groups are opened until what could still be gained beneath them is
 //! below a tolerance, so that every choice that matters has its own patches.

@@ -3,6 +3,7 @@
 use super::metric::{pressure_word, relative_deficit};
 use super::number::{fixed, optional, printable, significant};
 use crate::outcome::{Comparison, PolicyOutcome};
+use crate::policies::knows_the_future;
 
 /// Longest name in a sentence, characters.
 const NAME_LIMIT: usize = 60;
@@ -11,13 +12,32 @@ fn name(policy: &PolicyOutcome) -> String {
     printable(&policy.name, NAME_LIMIT)
 }
 
-/// The policies that have a mean quality, best first; ties in the order given.
+/// The policies that have a mean quality, best first; ties in the order given. Those that know what no client can are
+/// left out, unless there are no others.
 fn ranking(comparison: &Comparison) -> Vec<(&PolicyOutcome, f64)> {
     let known = |p: &PolicyOutcome| p.mean_quality.filter(|q| q.is_finite());
     let mut ranking: Vec<(&PolicyOutcome, f64)> =
         comparison.policies.iter().filter_map(|p| Some((p, known(p)?))).collect();
     ranking.sort_by(|a, b| b.1.total_cmp(&a.1));
+    if ranking.iter().any(|(p, _)| !knows_the_future(&p.name)) {
+        ranking.retain(|(p, _)| !knows_the_future(&p.name));
+    }
     ranking
+}
+
+/// What knowing the future would add to the best of the others.
+fn against_clairvoyance(findings: &mut Vec<String>, comparison: &Comparison, best: &PolicyOutcome) {
+    let clairvoyant = comparison.policies.iter().find(|p| knows_the_future(&p.name) && !knows_the_future(&best.name));
+    if let Some((clairvoyant, Some(theirs), Some(own))) = clairvoyant.map(|p| (p, p.mean_deficit, best.mean_deficit)) {
+        findings.push(format!(
+            "{}, which knows the path that the camera will take, has a mean deficit of {}: {} times that of {}, which is what \
+             prediction could still gain.",
+            name(clairvoyant),
+            fixed(theirs, 4),
+            fixed(relative_deficit(theirs, own), 2),
+            name(best),
+        ));
+    }
 }
 
 /// The first sentence: who is ahead, or why nobody is.
@@ -50,6 +70,7 @@ pub(super) fn findings(comparison: &Comparison) -> Vec<String> {
     let mut findings = Vec::new();
     if let [(best, quality), others @ ..] = ranking.as_slice() {
         against_others(&mut findings, best, *quality, others);
+        against_clairvoyance(&mut findings, comparison, best);
         against_bound(&mut findings, comparison, best, *quality);
     }
     let rho = comparison.pressure.rho;
