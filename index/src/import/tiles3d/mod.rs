@@ -1,6 +1,6 @@
 //! 3D Tiles 1.0 and 1.1: explicit and implicit tilings, external tilesets, contents with their real sizes.
 //!
-//! A tile with a content that its children replace becomes a node with one representation; `ADD`.
+//! A tile with a content that its children replace becomes a node with one representation; a tile with `ADD` gets a leaf of its own beside its children.
 //! Bytes on the wire are those of the files. Bytes in memory and content bounds are read from the glTF inside.
 
 mod assemble;
