@@ -3,129 +3,112 @@
 use super::frustum::Frustum;
 use glam::DVec3;
 
-/// A polygon clipped by a few planes: a face has 4 corners, and each plane adds at most one.
-type Polygon = ([DVec3; 10], usize);
+/// A polygon on the sphere of directions: the outline of a box has at most 6 corners, and each plane adds at most one.
+#[derive(Clone, Copy)]
+struct Polygon {
+    corners: [DVec3; 10],
+    count: usize,
+}
 
 /// Solid angle (sr) of a box seen from outside or inside, no frustum: 4π from within.
 /// `centre` is relative to the eye, `half` the half sides, metres.
 pub fn of_box(centre: DVec3, half: DVec3) -> f64 {
-    if is_inside(centre, half) {
-        return 4.0 * core::f64::consts::PI;
-    }
-    let mut product = Turn::NONE;
-    for face in visible_faces(centre, half) {
-        product.add_polygon(&face);
-    }
-    2.0 * product.angle()
+    outline(centre, half).map_or(4.0 * core::f64::consts::PI, |outline| outline.solid_angle())
 }
 
 /// Solid angle (sr) of the part of a box inside a frustum; from within the box, all of the frustum.
 /// `straddled` names the planes that may cut the box, as [`super::frustum::Side::Straddles`] does.
 pub fn of_box_in_frustum(centre: DVec3, half: DVec3, frustum: &Frustum, straddled: u8) -> f64 {
-    if is_inside(centre, half) {
-        return frustum.solid_angle;
+    let Some(mut outline) = outline(centre, half) else { return frustum.solid_angle };
+    for (i, plane) in frustum.planes.iter().enumerate() {
+        if straddled & (1 << i) != 0 {
+            outline = clip(&outline, *plane);
+        }
     }
-    let mut product = Turn::NONE;
-    for face in visible_faces(centre, half) {
-        if straddled == 0 {
-            product.add_polygon(&face);
-            continue;
-        }
-        let mut polygon: Polygon = ([DVec3::ZERO; 10], 4);
-        polygon.0[..4].copy_from_slice(&face);
-        for (i, plane) in frustum.planes.iter().enumerate() {
-            if straddled & (1 << i) != 0 {
-                polygon = clip(&polygon, *plane);
-            }
-        }
-        product.add_polygon(&polygon.0[..polygon.1]);
+    outline.solid_angle().clamp(0.0, frustum.solid_angle)
+}
+
+/// The outline of a box seen from the origin, corner by corner; `None` from within. Its edges are seen as arcs of great
+/// circles, and what they enclose is convex.
+fn outline(centre: DVec3, half: DVec3) -> Option<Polygon> {
+    // Faces are turned towards the eye across the axes along which the eye lies beyond them.
+    let beyond = centre.abs().cmpgt(half);
+    let towards = DVec3::new(-centre.x.signum(), -centre.y.signum(), -centre.z.signum());
+    let near = towards * half;
+    let far = -near;
+    // A corner by which of its coordinates are on the far side: bits x, y, z.
+    let corner = |bits: u8| {
+        let pick = |bit: u8, near: f64, far: f64| if bits & bit != 0 { far } else { near };
+        centre + DVec3::new(pick(1, near.x, far.x), pick(2, near.y, far.y), pick(4, near.z, far.z))
+    };
+    // Two faces share an edge; the outline goes round both. Three share the nearest corner; the outline visits all
+    // others but the farthest. Neighbours differ in one coordinate.
+    let bits: &[u8] = match beyond.bitmask() {
+        0b000 => return None,
+        0b001 => &[0, 2, 6, 4],
+        0b010 => &[0, 1, 5, 4],
+        0b100 => &[0, 1, 3, 2],
+        0b011 => &[2, 6, 4, 5, 1, 0],
+        0b101 => &[4, 6, 2, 3, 1, 0],
+        0b110 => &[4, 5, 1, 3, 2, 0],
+        _ => &[1, 3, 2, 6, 4, 5],
+    };
+    let mut polygon = Polygon { corners: [DVec3::ZERO; 10], count: bits.len() };
+    for (place, &bits) in polygon.corners.iter_mut().zip(bits) {
+        *place = corner(bits);
     }
-    (2.0 * product.angle()).clamp(0.0, frustum.solid_angle)
+    Some(polygon)
 }
 
-fn is_inside(centre: DVec3, half: DVec3) -> bool {
-    centre.abs().cmple(half).all()
-}
-
-/// The faces turned towards the eye, counter-clockwise as seen from it.
-fn visible_faces(centre: DVec3, half: DVec3) -> impl Iterator<Item = [DVec3; 4]> {
-    [DVec3::X, DVec3::Y, DVec3::Z].into_iter().filter_map(move |axis| {
-        let offset = axis.dot(centre);
-        let extent = axis.dot(half);
-        // The eye is at the origin: the face across `axis` towards it is visible if the eye lies beyond that face.
-        if offset.abs() <= extent {
-            return None;
-        }
-        let sign = -offset.signum();
-        let middle = centre + axis * (sign * extent);
-        let u = DVec3::new(axis.y, axis.z, axis.x);
-        let v = DVec3::new(axis.z, axis.x, axis.y);
-        let (u, v) = (u * u.dot(half) * sign, v * v.dot(half));
-        Some([middle - u - v, middle + u - v, middle + u + v, middle - u + v])
-    })
-}
-
-/// Sutherland–Hodgman against one half-space through the eye.
-fn clip((corners, count): &Polygon, plane: DVec3) -> Polygon {
-    let mut out: Polygon = ([DVec3::ZERO; 10], 0);
+/// Sutherland–Hodgman against one half-space through the eye: where a chord meets the plane, its arc does too.
+fn clip(polygon: &Polygon, plane: DVec3) -> Polygon {
+    let mut out = Polygon { corners: [DVec3::ZERO; 10], count: 0 };
     let mut push = |corner: DVec3| {
-        if out.1 < out.0.len() {
-            out.0[out.1] = corner;
-            out.1 += 1;
+        if out.count < out.corners.len() {
+            out.corners[out.count] = corner;
+            out.count += 1;
         }
     };
-    for i in 0..*count {
-        let (a, b) = (corners[i], corners[(i + 1) % count]);
-        let (da, db) = (plane.dot(a), plane.dot(b));
-        if da >= 0.0 {
-            push(a);
-        }
+    let corners = &polygon.corners[..polygon.count];
+    let Some(&last) = corners.last() else { return out };
+    let (mut a, mut da) = (last, plane.dot(last));
+    for &b in corners {
+        let db = plane.dot(b);
         if (da >= 0.0) != (db >= 0.0) {
             push(a + (b - a) * (da / (da - db)));
         }
+        if db >= 0.0 {
+            push(b);
+        }
+        (a, da) = (b, db);
     }
     out
 }
 
-/// A sum of angles kept as a product of complex numbers, so that one arc tangent serves a whole box. Each factor is
-/// the half solid angle of a triangle after Van Oosterom and Strackee (1983); their sum stays below π.
-struct Turn {
-    re: f64,
-    im: f64,
-}
-
-impl Turn {
-    const NONE: Turn = Turn { re: 1.0, im: 0.0 };
-
-    fn add_polygon(&mut self, corners: &[DVec3]) {
+impl Polygon {
+    /// The solid angle enclosed, sr: the triangles of a fan after Van Oosterom and Strackee (1983), each half angle the
+    /// argument of a complex number. The numbers are multiplied, so that one arc tangent serves the whole polygon;
+    /// their angles sum to less than π.
+    fn solid_angle(&self) -> f64 {
+        let corners = &self.corners[..self.count];
         if corners.len() < 3 {
-            return;
+            return 0.0;
         }
         // Unit vectors first: near and far corners then weigh alike, whatever the world's scale.
         let first = corners[0].normalize_or_zero();
         let mut previous = corners[1].normalize_or_zero();
-        for &corner in &corners[2..] {
+        let (mut re, mut im) = (1.0, 0.0);
+        for corner in &corners[2..] {
             let next = corner.normalize_or_zero();
-            let im = first.dot(previous.cross(next));
-            let re = 1.0 + first.dot(previous) + previous.dot(next) + next.dot(first);
-            let product = Turn { re: self.re * re - self.im * im.abs(), im: self.re * im.abs() + self.im * re };
-            let norm = (product.re * product.re + product.im * product.im).sqrt();
-            if norm > 0.0 {
-                *self = Turn { re: product.re / norm, im: product.im / norm };
-            }
+            let y = first.dot(previous.cross(next)).abs();
+            let x = 1.0 + first.dot(previous) + previous.dot(next) + next.dot(first);
+            // At most 4√2 long each: eight of them do not overflow.
+            (re, im) = (re * x - im * y, re * y + im * x);
             previous = next;
         }
-    }
-
-    fn angle(&self) -> f64 {
-        let angle = libm::atan2(self.im, self.re);
-        if angle < 0.0 && angle > -1e-9 {
-            0.0
-        } else if angle < 0.0 {
-            angle + 2.0 * core::f64::consts::PI
-        } else {
-            angle
-        }
+        let angle = libm::atan2(im, re);
+        // Rounding can turn an angle of nothing, or of all, a hair below zero.
+        2.0 * if angle > -1e-9 { angle.max(0.0) } else { angle + 2.0 * core::f64::consts::PI }
     }
 }
 
