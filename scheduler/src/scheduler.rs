@@ -120,11 +120,6 @@ impl<'a> Scheduler<'a> {
         &self.state
     }
 
-    /// The policy's name.
-    pub fn policy_name(&self) -> &str {
-        self.policy.name()
-    }
-
     fn pass(&mut self, now: Time) -> Result<(), SchedulerError> {
         if now < self.latest {
             return Err(SchedulerError::Time { now, latest: self.latest });

@@ -10,6 +10,7 @@ use crate::outcome::{
 };
 use crate::policies::PolicySpec;
 use crate::pressure::Needs;
+use crate::random::SplitMix64;
 use crate::replay::{ReplayError, Run, Stage, replay};
 use crate::stopwatch::percentiles;
 use foresight_scheduler::benefit::cut::{Cut, CutSettings};
@@ -97,17 +98,9 @@ pub fn starts(link: &LinkTrace, count: usize, seed: u64) -> Vec<Time> {
     if count <= 1 {
         return vec![Time::ZERO];
     }
-    let mut state = seed;
-    let mut uniform = || {
-        // splitmix64 (Steele, Lea and Flood 2014).
-        state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = state;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        (z ^ (z >> 31)) as f64 / u64::MAX as f64
-    };
+    let mut random = SplitMix64::new(seed);
     let period = link.period().secs();
-    (0..count).map(|i| Time::from_secs(period * (i as f64 + uniform()) / count as f64)).collect()
+    (0..count).map(|i| Time::from_secs(period * (i as f64 + random.uniform()) / count as f64)).collect()
 }
 
 /// Makes the comparison. `inputs` names what is compared; its figures are filled in here. `progress` is told how many

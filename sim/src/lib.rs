@@ -9,6 +9,7 @@ pub mod outcome;
 pub mod path;
 pub mod policies;
 pub mod pressure;
+mod random;
 pub mod replay;
 pub mod report;
 pub mod stopwatch;

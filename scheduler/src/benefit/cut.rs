@@ -53,8 +53,6 @@ pub struct Cut {
     pub scale: f64,
     /// The eye, from which groups are opened further.
     pub eye: DVec3,
-    /// Nodes looked at.
-    pub visited: u64,
 }
 
 /// Which directions count, and how far they may be off.
@@ -80,7 +78,6 @@ impl Cut {
         let frustum = Frustum::new(view);
         self.patches.clear();
         self.total_weight = 0.0;
-        self.visited = 0;
         self.eye = frustum.eye;
         let widened = match region {
             Region::Frustum => Widened::new(&frustum, 0.0, 0.0),
@@ -92,7 +89,6 @@ impl Cut {
         let mut inside_until = 0u32;
         while next < end {
             let node = NodeId(next);
-            self.visited += 1;
             let centre = tree.centre(node) - frustum.eye;
             let half = tree.half(node);
             let subtree_end = tree.subtree_end(node).0;

@@ -2,7 +2,7 @@
 //!
 //! Greedy by ∫ b(v_t) ⊖ b_now(v_t) dt per second of transfer along the path predicted by constant velocity. No worst case
 //! (α = 1), no discards planned: when memory is full, the least recently used go. Settled: the gain counts from now, as
-//! eq. 2 prints it, not from the arrival.
+//! eq. 2 prints it, not from the arrival; and used is what is best in the nearest sampled view, at every sampling.
 
 use super::foresight::{Discards, Foresight, ForesightSettings};
 use crate::predict::PredictorKind;

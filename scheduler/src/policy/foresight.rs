@@ -96,7 +96,7 @@ pub struct Foresight {
     plan: Option<Coverage>,
     /// Rest of a closure that has been begun, and discards that must come first.
     committed: VecDeque<Action>,
-    /// When each representation was last the best of something in view, in units of D.
+    /// When each representation was last the best of something in the nearest sampled view, counted in samplings.
     last_used: Vec<u32>,
     uses: u32,
     gain: Vec<f64>,

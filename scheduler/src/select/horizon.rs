@@ -54,7 +54,8 @@ pub struct HorizonSettings {
     pub alpha: f64,
     /// Attenuation rate per second: att(u) = exp(−rate·u). 0 is att ≡ 1.
     pub attenuation: f64,
-    /// Groups are opened while more than this share of the frustum could be gained beneath them.
+    /// Groups are opened while more than this could be gained beneath them: sr of the objective, in which α, belief and
+    /// attenuation are included.
     pub tolerance: f64,
     /// How the cuts are made.
     pub cut: CutSettings,
@@ -237,7 +238,8 @@ impl Horizon {
         self.benefit_beneath(tree, planned, tree.root(), 0.0)
     }
 
-    /// Visits every patch with the chain above it: `visit(patch, share after offset, chain, is the present view)`.
+    /// Visits every patch with the chain above it: `visit(patch, share after offset, chain, is of the first
+    /// term)`; the first term, the nearest sampled view, stands for the present one.
     pub fn for_each(
         &self,
         tree: &LodTree,

@@ -144,8 +144,13 @@ pub(crate) fn place(path: &CameraPath, world: &World, as_is: bool, args: &PathAr
     if duration > left + 1e-9 && !args.looped {
         bail!("--duration {duration}; the path has {left:.3} s from there: expected at most that, or --loop");
     }
-    let looped = path.looped();
-    let source = if args.looped { &looped } else { path };
+    let looped;
+    let source = if args.looped {
+        looped = path.looped();
+        &looped
+    } else {
+        path
+    };
     let flight = Flight::sample(duration, |t| {
         let (position, orientation) = source.at(args.from + t);
         View { position, orientation, fov_y: args.fov.to_radians(), viewport: args.viewport }

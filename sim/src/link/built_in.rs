@@ -3,6 +3,7 @@
 use foresight_scheduler::units::Time;
 
 use super::{LinkTrace, RatePiece};
+use crate::random::SplitMix64;
 
 const SECONDS: usize = 120;
 const MEAN_MBIT: f64 = 1.5;
@@ -20,7 +21,7 @@ const DIPS: [(usize, usize, f64); 3] = [(34, 4, 0.03), (71, 6, 0.02), (103, 3, 0
 /// three deep dips; 120 s, mean 1.5 Mbit/s, round trip 60 ms. The same on every machine.
 pub fn built_in() -> LinkTrace {
     let (low, high) = (libm::log(WALK_MIN), libm::log(WALK_MAX));
-    let mut random = SplitMix64(0x05ee_d0f1);
+    let mut random = SplitMix64::new(0x05ee_d0f1);
     let mut log_rate = libm::log(WALK_START);
     let mut rates = [0.0; SECONDS];
     for (second, rate) in rates.iter_mut().enumerate() {
@@ -49,21 +50,4 @@ pub fn built_in() -> LinkTrace {
     let period = Time(SECONDS as u64 * 1_000_000_000);
     LinkTrace::from_rates("built-in LTE-like link", pieces, period, Time(60_000_000))
         .expect("the pieces increase, their rates are positive and far below the limit")
-}
-
-/// Steele, Lea and Flood, *Fast splittable pseudorandom number generators* (2014).
-struct SplitMix64(u64);
-
-impl SplitMix64 {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    /// In [0, 1), with 53 bits.
-    fn uniform(&mut self) -> f64 {
-        (self.next() >> 11) as f64 / (1u64 << 53) as f64
-    }
 }

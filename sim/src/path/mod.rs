@@ -211,11 +211,6 @@ impl CameraPath {
         self.poses.last().map_or(0.0, |pose| pose.time)
     }
 
-    /// Whether the path begins again when it ends.
-    pub fn is_looped(&self) -> bool {
-        self.looped
-    }
-
     /// Position and unit orientation at a time in seconds, in O(log n). A time before the start, or NaN, is the start.
     pub fn at(&self, time: f64) -> (DVec3, DQuat) {
         let duration = self.duration();
@@ -245,45 +240,6 @@ impl CameraPath {
         let (a, b) = (self.poses[before], self.poses[after]);
         // The quotient is at most 1, however small the steps.
         (b.position - a.position) * (step / (b.time - a.time))
-    }
-
-    /// The part from `from` on that lasts `duration`, or to the end; the new ends are poses of their own, where tangents
-    /// are one-sided, so the curve of the first and last step may differ a little.
-    ///
-    /// # Errors
-    /// `from` outside the path, or a duration that is not positive.
-    pub fn slice(&self, from: f64, duration: f64) -> Result<CameraPath, PathError> {
-        let end = self.duration();
-        let whole = |message: String| PathError::Whole { name: self.name.clone(), message };
-        if !(0.0..end).contains(&from) {
-            return Err(whole(format!("a start at {from} s; expected 0 up to less than {end} s, where the path ends")));
-        }
-        let to = (from + duration).min(end);
-        // Also false for a NaN, and for what is too short to matter at `from`.
-        if !(duration > 0.0 && to > from) {
-            return Err(whole(format!("a duration of {duration} s; expected a positive number")));
-        }
-        let first = self.poses.partition_point(|pose| pose.time <= from);
-        let last = self.poses.partition_point(|pose| pose.time < to);
-        let pose_at = |time: f64| {
-            let (position, orientation) = self.at(time);
-            Pose { time: time - from, position, orientation }
-        };
-        let mut poses = Vec::with_capacity(last - first + 2);
-        poses.push(pose_at(from));
-        for pose in &self.poses[first..last] {
-            poses.push(Pose { time: pose.time - from, ..*pose });
-        }
-        poses.push(pose_at(to));
-        // Subtracting `from` may round two times together.
-        poses.dedup_by(|b, a| b.time <= a.time);
-        let mut notes = self.notes.clone();
-        notes.push(format!("{from} s to {to} s of {end} s"));
-        let part = CameraPath { name: self.name.clone(), poses, notes, ..*self };
-        if part.poses.len() < 2 {
-            return Err(whole(format!("a duration of {duration} s; expected a longer one")));
-        }
-        Ok(part)
     }
 
     /// The path begun again whenever it ends. Where its ends differ, the camera jumps, which is noted.
