@@ -154,10 +154,16 @@ fn refinement(text: &str) -> Result<Refinement, String> {
     }
 }
 
-pub(crate) fn run(args: ReplayArgs) -> anyhow::Result<()> {
-    if let Some(threads) = args.threads {
+/// Runs everything that follows on this many threads.
+pub(crate) fn use_threads(threads: Option<u32>) -> anyhow::Result<()> {
+    if let Some(threads) = threads {
         rayon::ThreadPoolBuilder::new().num_threads(threads as usize).build_global().context("starting threads")?;
     }
+    Ok(())
+}
+
+pub(crate) fn run(args: ReplayArgs) -> anyhow::Result<()> {
+    use_threads(args.threads)?;
     let shows_progress = std::io::stderr().is_terminal() && !args.json;
     let comparison = execute(&args, &|done, all| {
         if shows_progress {

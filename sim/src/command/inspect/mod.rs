@@ -10,6 +10,7 @@ use clap::Args;
 use foresight_index::world::World;
 use foresight_scheduler::benefit::cut::CutSettings;
 use foresight_sim::link::LinkTrace;
+use foresight_sim::outcome::regime;
 use foresight_sim::path::CameraPath;
 use foresight_sim::pressure::Needs;
 use std::io::Write;
@@ -113,12 +114,7 @@ fn pressure(
             let budget = (mu * needs.largest_bytes as f64) as u64;
             needs.newly_needed_bytes(&world.tree, budget) as f64 / (duration.secs() * link.mean_rate())
         };
-        let word = match rho {
-            r if r > 2.0 => "starved",
-            r if r < 0.1 => "policies cannot differ",
-            r if r < 0.5 => "ample",
-            _ => "matched",
-        };
+        let word = if rho < 0.1 { "policies cannot differ" } else { regime(rho) };
         writeln!(
             out,
             "  on {}: ρ = {rho:.3} ({word}); λ = {:.3}, {:.3}, {:.3} at μ = ¼, ½, 1",
