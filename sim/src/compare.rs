@@ -177,11 +177,20 @@ pub fn compare(
     if nonempty == 0 {
         warnings.push("nothing is ever in view: quality is undefined; place the path elsewhere".to_owned());
     } else if pressure.rho < RHO_WARNED {
-        warnings.push(format!(
-            "ρ = {:.3}: the link delivers more than {:.0} times what the path needs, so policies cannot differ after start-up",
-            pressure.rho,
-            1.0 / RHO_WARNED
-        ));
+        let times = 1.0 / RHO_WARNED;
+        warnings.push(if pressure.mu < 1.0 {
+            format!(
+                "ρ = {:.3}: the link delivers more than {times:.0} times what the path needs, so policies differ after start-up \
+                 only by what they keep in a memory of μ = {:.2}",
+                pressure.rho, pressure.mu
+            )
+        } else {
+            format!(
+                "ρ = {:.3}: the link delivers more than {times:.0} times what the path needs, so policies cannot differ after \
+                 start-up",
+                pressure.rho
+            )
+        });
     }
     let shown: Vec<(&str, &Run)> =
         outcomes.iter().map(|(outcome, p)| (outcome.name.as_str(), &by_policy[*p][0])).collect();
