@@ -233,7 +233,7 @@ pub(crate) fn run(args: ReplayArgs) -> anyhow::Result<()> {
         eprint!("\r\x1b[K");
     }
     comparison.warnings.extend(inputs::world_notes(&world, 5));
-    comparison.warnings.extend(path.notes().iter().map(|n| format!("path: {n}")));
+    comparison.warnings.extend(placed.notes.iter().map(|n| format!("path: {n}")));
     comparison.warnings.extend(link.notes().iter().map(|n| format!("link: {n}")));
 
     let mut out = std::io::stdout().lock();
