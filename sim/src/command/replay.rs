@@ -260,7 +260,7 @@ pub(crate) fn execute(args: &ReplayArgs, progress: &(dyn Fn(usize, usize) + Sync
     };
     let mut comparison = compare(&plan, inputs, progress)?;
     comparison.warnings.extend(inputs::world_notes(&world, 5));
-    comparison.warnings.extend(path.notes().iter().map(|n| format!("path: {n}")));
+    comparison.warnings.extend(placed.notes.iter().map(|n| format!("path: {n}")));
     comparison.warnings.extend(link.notes().iter().map(|n| format!("link: {n}")));
     Ok(comparison)
 }
