@@ -5,10 +5,10 @@ use anyhow::bail;
 use clap::Args;
 use foresight_index::world::{self, World};
 use foresight_scheduler::benefit::cut::CutSettings;
-use foresight_sim::link::{self, LinkTrace};
+use foresight_sim::link::{self, LinkStatistics, LinkTrace};
 use foresight_sim::path::CameraPath;
 use foresight_sim::pressure::Needs;
-use std::io::Write;
+use std::io::{Read, Write};
 use std::path::Path;
 
 #[derive(Debug, Args)]
@@ -27,46 +27,54 @@ enum Input {
     Link(LinkTrace),
 }
 
-/// Tries the three kinds; if none fits, says why each does not.
-fn recognise(file: &str, args: &PathArgs) -> anyhow::Result<Input> {
-    let generated = ["constant:", "steady", "turn"].iter().any(|p| file.starts_with(p));
+/// Tries the three kinds; if none fits, says why each does not. A recording of a camera and its link is both.
+fn recognise(file: &str, args: &PathArgs) -> anyhow::Result<Vec<Input>> {
+    let generated = file.starts_with("constant:") || inputs::MADE_PATHS.iter().any(|made| file.starts_with(made));
     if !generated && !Path::new(file.split(',').next().unwrap_or(file)).exists() {
         bail!("{file}: no such file or directory; expected a world, a path or a link");
     }
     let path = Path::new(file);
-    if path.is_dir() || path.extension().is_some_and(|e| e == "json") {
-        return Ok(Input::World(Box::new(world::open(path)?)));
+    if path.is_dir() || path.extension().is_some_and(|e| e == "json") && !begins_a_list(path) {
+        return Ok(vec![Input::World(Box::new(world::open(path)?))]);
     }
-    let as_path = inputs::open_path(Some(file), args);
-    let as_link = || link::parse::from_specification(file);
-    match as_path {
-        Ok(path) => Ok(Input::Path(path)),
-        Err(path_error) => match as_link() {
-            Ok(link) => Ok(Input::Link(link)),
-            Err(link_error) => match world::open(path) {
-                Ok(world) => Ok(Input::World(Box::new(world))),
-                Err(_) => bail!("{file} is neither a path ({path_error:#}) nor a link ({link_error})"),
-            },
+    let as_path = inputs::open_vehicle(Some(file), args);
+    let as_link = link::parse::from_specification(file);
+    match (as_path, as_link) {
+        (Ok(path), Ok(link)) => Ok(vec![Input::Path(path), Input::Link(link)]),
+        (Ok(path), Err(_)) => Ok(vec![Input::Path(path)]),
+        (Err(_), Ok(link)) => Ok(vec![Input::Link(link)]),
+        (Err(path_error), Err(link_error)) => match world::open(path) {
+            Ok(world) => Ok(vec![Input::World(Box::new(world))]),
+            Err(_) => bail!("{file} is neither a path ({path_error:#}) nor a link ({link_error})"),
         },
     }
+}
+
+/// Whether the file's first bytes begin a JSON list: a SABRE trace rather than a tileset.
+fn begins_a_list(file: &Path) -> bool {
+    let mut first = [0; 64];
+    let read = std::fs::File::open(file).and_then(|mut file| file.read(&mut first));
+    read.is_ok_and(|count| link::sabre::is_sabre(&first[..count]))
 }
 
 pub(crate) fn run(args: &InspectArgs) -> anyhow::Result<()> {
     let mut out = std::io::stdout().lock();
     let (mut worlds, mut paths, mut links) = (Vec::new(), Vec::new(), Vec::new());
     for file in &args.files {
-        match recognise(file, &args.path_args)? {
-            Input::World(world) => {
-                describe_world(&mut out, file, &world)?;
-                worlds.push(world);
-            }
-            Input::Path(path) => {
-                describe_path(&mut out, file, &path)?;
-                paths.push(path);
-            }
-            Input::Link(link) => {
-                describe_link(&mut out, file, &link)?;
-                links.push(link);
+        for input in recognise(file, &args.path_args)? {
+            match input {
+                Input::World(world) => {
+                    describe_world(&mut out, file, &world)?;
+                    worlds.push(world);
+                }
+                Input::Path(path) => {
+                    describe_path(&mut out, file, &path)?;
+                    paths.push(inputs::carry_head(path, &args.path_args)?);
+                }
+                Input::Link(link) => {
+                    describe_link(&mut out, file, &link)?;
+                    links.push(link);
+                }
             }
         }
     }
@@ -133,13 +141,30 @@ fn describe_path(out: &mut impl Write, file: &str, path: &CameraPath) -> std::io
 
 fn describe_link(out: &mut impl Write, file: &str, link: &LinkTrace) -> std::io::Result<()> {
     writeln!(out, "{file}: link")?;
+    let (least, greatest) = link.rtt_range();
     writeln!(
         out,
-        "  {:.3} Mbit/s on average over {:.2} s, then it repeats; round trip {:.1} ms",
+        "  {:.3} Mbit/s on average over {:.2} s, then it repeats; round trip {}",
         link.mean_rate() * 8e-6,
         link.period().secs(),
-        link.rtt().secs() * 1e3
+        if least == greatest {
+            format!("{:.1} ms", least.secs() * 1e3)
+        } else {
+            format!("{:.1} to {:.1} ms", least.secs() * 1e3, greatest.secs() * 1e3)
+        }
     )?;
+    let statistics = LinkStatistics::new(link);
+    let [p05, p25, median, p75, p95] = statistics.percentiles.map(|rate| format!("{:.3}", rate * 8e-6));
+    writeln!(out, "  by the second: median {median} Mbit/s; 5, 25, 75, 95 %: {p05}, {p25}, {p75}, {p95} Mbit/s")?;
+    writeln!(
+        out,
+        "  {:.1} % of the seconds deliver less than 5 % of the mean; longest time without a byte {:.3} s",
+        statistics.near_zero_share * 100.0,
+        statistics.longest_outage.secs()
+    )?;
+    if link.loss() > 0.0 {
+        writeln!(out, "  {:.2} % of the requests fail", link.loss() * 100.0)?;
+    }
     for note in link.notes() {
         writeln!(out, "  {note}")?;
     }

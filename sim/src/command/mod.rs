@@ -27,7 +27,7 @@ enum Command {
     Replay(Box<replay::ReplayArgs>),
     /// Tells what a world, path or link contains, its traps, and the pressure to expect.
     Inspect(inspect::InspectArgs),
-    /// Makes worlds of any size.
+    /// Makes worlds of any size, and recordings of paths.
     Generate(generate::GenerateArgs),
 }
 

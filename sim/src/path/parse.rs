@@ -8,7 +8,7 @@ use glam::DVec3;
 use crate::text_lines::{LINE_BYTES_MAX, TextLines};
 
 use super::axes::{Axis, CameraAxes, Convention, Given, QuatOrder, RawPose, choose};
-use super::{CameraPath, POSES_MAX, PathError, Pose, QUATERNION_TOLERANCE};
+use super::{CameraPath, POSES_MAX, PathError, Pose, QUATERNION_TOLERANCE, recording};
 
 /// Largest file read, bytes.
 const FILE_BYTES_MAX: u64 = 2 << 30;
@@ -40,8 +40,8 @@ pub fn from_file(file: &Path, options: &Options) -> Result<CameraPath, PathError
 }
 
 /// Reads a file's content, recognised by itself: TUM (`t x y z qx qy qz qw`, seconds and metres, `#` begins a comment,
-/// further columns are ignored) or EyeNavGS (a table with a header, two rows a frame, of which those of view 0 are taken;
-/// milliseconds, y up).
+/// further columns are ignored), EyeNavGS (a table with a header, two rows a frame, of which those of view 0 are taken;
+/// milliseconds, y up), or a recording of ours, see [`recording`].
 ///
 /// Lines whose time is not later than the one before are dropped; quaternions of a length within 10⁻² of 1 are
 /// renormalised; both are counted in the notes, and so is what was chosen from the motion.
@@ -50,6 +50,9 @@ pub fn from_file(file: &Path, options: &Options) -> Result<CameraPath, PathError
 /// [`PathError`] names the line and what was expected of it.
 pub fn from_bytes(name: &str, bytes: &[u8], options: &Options) -> Result<CameraPath, PathError> {
     check_size(name, bytes.len() as u64)?;
+    if recording::is_recording(bytes) {
+        return recording::path_from_bytes(name, bytes, options);
+    }
     let mut lines = text_lines(name, bytes)?;
     let mut recording =
         Recording { name, poses: Vec::new(), start: 0.0, dropped: 0, renormalised: 0, length_error: 0.0 };
