@@ -14,7 +14,8 @@
 //!    better bucket than the one before it.
 //! 2. *Show* of each node the finest level loaded that is not finer than chosen, else the coarsest
 //!    (`lodUnderfillLimit` = 10); what was shown before stays until that is loaded.
-//! 3. *Queue* for each node, in the order of the tree, the level one step finer than the one shown.
+//! 3. *Queue* for each node, in the order of the tree, the level one step finer than the one shown, behind what is
+//!    queued already: all nodes go up together.
 //!
 //! In every frame: 2 downloads at once; what no node shows or awaits is unloaded 100 frames later (`cooldownTicks`).
 //! After a failure a file is asked for twice more, then no more. Nothing on its way is aborted. View direction counts by f alone.
@@ -30,8 +31,8 @@
 //! - `lodBehindPenalty`, `lodUpdateAngle` and `lodUnderfillLimit` are those of the engine's streaming examples. Its
 //!   defaults, 1, 0 and 0, show nothing of a node until its chosen level has come. No tree here is deeper than 10
 //!   loads, so that the limit of 10 does not bind.
-//! - The queue is made anew by each balance; as shipped, a level queued as the next step stays queued when it is no
-//!   longer wanted, and delays the others.
+//! - What is no longer wanted leaves the queue at the next balance; as shipped, a level queued as the next step stays
+//!   there, and delays the others.
 //! - Memory cannot be overdrawn: what cools down goes before the request, if that makes room. If not, the queue waits
 //!   for what is on its way, and when nothing is, passes over what does not fit, and what is finer than chosen is no
 //!   longer kept until its replacement comes.
@@ -218,7 +219,10 @@ pub struct PlayCanvas {
     chosen: Vec<u32>,
     /// What is shown or awaited.
     in_use: Vec<RepId>,
+    /// First come, first served.
     queue: Vec<RepId>,
+    /// Per representation, the balance which wants it and has not found it in the queue.
+    wanted_in: Vec<u32>,
     heap: BinaryHeap<(u32, Reverse<u32>, u32)>,
     failures: Vec<u8>,
     something_loaded: bool,
@@ -247,6 +251,7 @@ impl PlayCanvas {
             chosen: Vec::new(),
             in_use: Vec::new(),
             queue: Vec::new(),
+            wanted_in: vec![0; tree.representations()],
             heap: BinaryHeap::new(),
             failures: vec![0; tree.representations()],
             something_loaded: false,
@@ -337,7 +342,7 @@ impl PlayCanvas {
     /// What of the chosen is shown and what is to be loaded next.
     fn apply(&mut self, state: &ClientState) {
         self.in_use.clear();
-        self.queue.clear();
+        let mut wanted: Vec<RepId> = Vec::new();
         // Children come after their parents: from the end, a tile's steps are counted before it is looked at.
         for place in (0..self.chosen.len()).rev() {
             let id = self.chosen[place];
@@ -359,11 +364,18 @@ impl PlayCanvas {
                 let rep = self.contents[at as usize];
                 self.in_use.push(rep);
                 if state.status(rep) == Status::Absent {
-                    self.queue.push(rep);
+                    wanted.push(rep);
+                    self.wanted_in[rep.index()] = self.balances;
                 }
             }
         }
-        self.queue.reverse();
+        // First come, first served: what was queued before keeps its place.
+        self.queue.retain(|r| self.wanted_in[r.index()] == self.balances);
+        for &rep in &self.queue {
+            self.wanted_in[rep.index()] = 0;
+        }
+        let new = wanted.iter().rev().filter(|r| self.wanted_in[r.index()] != 0);
+        self.queue.extend(new);
         if self.stuck {
             return;
         }
@@ -382,7 +394,7 @@ impl PlayCanvas {
     }
 
     fn is_due(&mut self, view: &View) -> bool {
-        if (self.downloads.frame() - 1) % self.settings.frames.max(1) != 0 {
+        if !(self.downloads.frame() - 1).is_multiple_of(self.settings.frames.max(1)) {
             return false;
         }
         let loaded = core::mem::take(&mut self.something_loaded);
@@ -399,8 +411,7 @@ impl PlayCanvas {
         if self.is_due(view) {
             self.balance(state, view);
             self.apply(state);
-            self.balanced =
-                Some(Balanced { position: view.position, forward: view.forward(), fov_y: view.fov_y });
+            self.balanced = Some(Balanced { position: view.position, forward: view.forward(), fov_y: view.fov_y });
         }
         for &rep in &self.in_use {
             self.downloads.touch(state, rep);

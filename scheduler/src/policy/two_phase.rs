@@ -24,9 +24,9 @@
 //! - The paper has no first picture other than the panoramas. At the start, where nothing is shown, the coarsest
 //!   representation of everything in view comes first, nearest first; without it the screen would stay empty until the
 //!   finest has come.
-//! - "Maximum number of views in cache is determined by memory": what is in none of the five sets goes when room is needed,
-//!   least recently in one first. When that is not enough, the queue waits for what is on its way, and when nothing is,
-//!   passes over what does not fit.
+//! - "Maximum number of views allowed in cache is determined by memory size": the queue ends where its decoded bytes
+//!   would exceed the memory budget. What is not in it goes when room is needed, least recently in it first. When that
+//!   is not enough, the queue waits for what is on its way, and when nothing is, passes over what does not fit.
 //! - A failed request is made again when the queue is made anew. Nothing on its way is aborted.
 
 use super::downloads::{Asked, Downloads};
@@ -271,6 +271,14 @@ impl TwoPhase {
             let by_key = a.key.total_cmp(&b.key);
             a.phase.cmp(&b.phase).then(by_key).then(a.depth.cmp(&b.depth)).then(a.rep.cmp(&b.rep))
         });
+        // As many as memory holds.
+        let mut bytes = 0;
+        let fitting = queue.iter().take_while(|entry| {
+            bytes += tree.decoded_bytes(entry.rep);
+            bytes <= state.budget
+        });
+        let fitting = fitting.count().max(1);
+        queue.truncate(fitting);
         for entry in queue.iter().rev() {
             self.downloads.touch(state, entry.rep);
         }

@@ -25,9 +25,10 @@
 //!   target, in pixels.
 //! - The number of streams at a time has no limit; requests in flight: 4.
 //! - The safe margin of 10 % of the bandwidth is the proxy's, not the client's: it is not held back.
-//! - The thesis drops nothing. Here the least recently used goes when room is needed: what is in view, and the lowest
-//!   levels within the area of interest, are used. When that is not enough, requests wait for what is on its way, and
-//!   when nothing is, what does not fit is passed over.
+//! - The thesis drops nothing. Here the least recently used goes when room is needed. Used is what is in view or within
+//!   the area of interest, as far as memory holds it: lowest levels in view first, then the nearest, nothing before
+//!   the level above it, lowest levels out of view last; only that is requested. When room is still missing, requests
+//!   wait for what is on its way, and when nothing is, what does not fit is passed over.
 //! - Where children replace their parent together, siblings out of view are streams like those in view.
 //! - A failed request is made again.
 
@@ -88,6 +89,18 @@ enum Branch {
     Preload,
 }
 
+/// A level in view or of interest.
+#[derive(Clone, Copy, Debug)]
+struct Looked {
+    branch: Branch,
+    missing: bool,
+    /// Metres, to the centre of the box.
+    distance: f64,
+    /// Not less than that of what is above it.
+    reach: f64,
+    tile: u32,
+}
+
 /// A level that is neither there nor on its way.
 #[derive(Clone, Copy, Debug)]
 struct Stream {
@@ -140,8 +153,10 @@ pub struct WeightedProxy {
     settings: WeightedProxySettings,
     tiles: Vec<Tile>,
     contents: Vec<RepId>,
+    looked_at: Vec<Looked>,
+    /// Per tile looked at, the greatest distance from the root down to it.
+    reach: Vec<f64>,
     streams: Vec<Stream>,
-    used: Vec<u32>,
     /// Shares of the high and of the normal branch.
     shares: [Shares; 2],
     /// High-priority requests that were in flight when last looked at.
@@ -156,13 +171,14 @@ impl WeightedProxy {
         let shares = Shares { credit: [0.0; RINGS] };
         WeightedProxy {
             settings,
-            tiles,
             contents,
+            looked_at: Vec::new(),
+            reach: vec![0.0; tiles.len()],
             streams: Vec::new(),
-            used: Vec::new(),
             shares: [shares.clone(), shares],
             high_in_flight: Vec::new(),
             downloads: Downloads::new(tree),
+            tiles,
         }
     }
 
@@ -170,13 +186,13 @@ impl WeightedProxy {
         &self.contents[tile.first_content as usize..tile.end_content as usize]
     }
 
-    /// Lists what is used and what is missing, in preorder.
+    /// Lists what is in view or of interest, and whether it is missing, as far as memory holds it.
     fn look(&mut self, state: &ClientState, view: &View) {
         let (tree, frustum) = (state.tree, Frustum::new(view));
         let target = self.settings.error_target_px;
         let atomic = state.resident().refinement() == Refinement::Atomic;
-        self.streams.clear();
-        self.used.clear();
+        self.looked_at.clear();
+        let mut bytes = 0u64;
         let mut next = 0u32;
         while next < self.tiles.len() as u32 {
             let id = next;
@@ -185,7 +201,6 @@ impl WeightedProxy {
             let half = tree.half(tile.node);
             let distance = (to_centre.abs() - half).max(DVec3::ZERO).length();
             let in_view = frustum.side(to_centre, half) != Side::Outside;
-            let lowest = tile.depth == 1 && !tile.is_empty();
             let of_interest = in_view
                 || (tile.depth <= 1 && half.length() * frustum.pixels_per_radian >= target * distance)
                 || (tile.depth > 1 && atomic);
@@ -193,25 +208,45 @@ impl WeightedProxy {
                 next = tile.subtree_end;
                 continue;
             }
+            let above = self.reach.get(tile.parent as usize).copied().unwrap_or(0.0);
+            self.reach[id as usize] = above;
             if tile.is_empty() {
                 next = id + 1;
                 continue;
             }
-            self.used.push(id);
-            if self.own(&tile).iter().any(|&r| state.status(r) == Status::Absent) {
-                let branch = match (lowest, in_view) {
-                    (true, true) => Branch::High,
-                    (true, false) => Branch::Preload,
-                    (false, _) => Branch::Normal,
-                };
-                let distance = to_centre.length();
-                self.streams.push(Stream { branch, ring: ring(distance), distance, tile: id });
-            } else if in_view && tile.error * frustum.pixels_per_radian > target * distance {
-                next = id + 1;
-                continue;
-            }
-            next = tile.subtree_end;
+            let branch = match (tile.depth == 1, in_view) {
+                (true, true) => Branch::High,
+                (true, false) => Branch::Preload,
+                (false, _) => Branch::Normal,
+            };
+            let own = self.own(&tile);
+            let missing = own.iter().any(|&r| state.status(r) == Status::Absent);
+            bytes += own.iter().map(|&r| tree.decoded_bytes(r)).sum::<u64>();
+            let centre = to_centre.length();
+            let reach = above.max(centre);
+            self.reach[id as usize] = reach;
+            self.looked_at.push(Looked { branch, missing, distance: centre, reach, tile: id });
+            let refine = !missing && in_view && tile.error * frustum.pixels_per_radian > target * distance;
+            next = if refine { id + 1 } else { tile.subtree_end };
         }
+        if bytes > state.budget {
+            self.keep_what_fits(state);
+        }
+    }
+
+    fn keep_what_fits(&mut self, state: &ClientState) {
+        self.looked_at.sort_unstable_by(|a, b| {
+            let by_reach = a.reach.total_cmp(&b.reach);
+            a.branch.cmp(&b.branch).then(by_reach).then(a.tile.cmp(&b.tile))
+        });
+        let mut bytes = 0;
+        let fitting = self.looked_at.iter().take_while(|looked| {
+            let own = self.own(&self.tiles[looked.tile as usize]);
+            bytes += own.iter().map(|&r| state.tree.decoded_bytes(r)).sum::<u64>();
+            bytes <= state.budget
+        });
+        let fitting = fitting.count().max(1);
+        self.looked_at.truncate(fitting);
     }
 
     /// Requests streams of one branch; false if nothing more can be requested in this frame.
@@ -271,16 +306,21 @@ impl WeightedProxy {
     fn plan(&mut self, state: &ClientState, view: &View) {
         self.look(state, view);
         // Coarse levels last, so that they go last.
-        for &id in self.used.iter().rev() {
-            let tile = &self.tiles[id as usize];
+        for looked in self.looked_at.iter().rev() {
+            let tile = &self.tiles[looked.tile as usize];
             for &rep in &self.contents[tile.first_content as usize..tile.end_content as usize] {
                 self.downloads.touch(state, rep);
             }
         }
         self.high_in_flight.retain(|&r| state.status(r) == Status::InFlight);
-        if self.downloads.slots() == 0 || self.streams.is_empty() {
+        if self.downloads.slots() == 0 {
             return;
         }
+        self.streams.clear();
+        self.streams.extend(self.looked_at.iter().filter(|looked| looked.missing).map(|looked| {
+            let Looked { branch, distance, tile, .. } = *looked;
+            Stream { branch, ring: ring(distance), distance, tile }
+        }));
         self.streams.sort_unstable_by(|a, b| {
             let by_distance = a.distance.total_cmp(&b.distance);
             a.branch.cmp(&b.branch).then(a.ring.cmp(&b.ring)).then(by_distance).then(a.tile.cmp(&b.tile))
