@@ -36,7 +36,7 @@
 //! - Of what is drawn, only that is followed which decides on loading; "kicked" tiles are not.
 //! - 5 parses at a time are the decoder's limit, not the policy's.
 
-mod tile;
+pub(crate) mod tile;
 mod traversal;
 mod unload;
 
