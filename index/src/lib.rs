@@ -9,5 +9,7 @@ pub mod ground;
 pub mod import;
 #[cfg(feature = "tiles3d")]
 pub mod manifest;
+#[cfg(feature = "elevation")]
+pub mod terrain;
 pub mod uris;
 pub mod world;

@@ -43,6 +43,12 @@ pub enum WorldKind {
     Mosaic,
     /// A generated city.
     City,
+    /// Terrain from a grid of heights.
+    Terrain,
+    /// Generated terrain.
+    GeneratedTerrain,
+    /// Generated models in space.
+    Asteroids,
 }
 
 impl fmt::Display for WorldKind {
@@ -51,6 +57,9 @@ impl fmt::Display for WorldKind {
             WorldKind::Tiles3d => "3D Tiles",
             WorldKind::Mosaic => "mosaic of 3D Tiles",
             WorldKind::City => "generated city",
+            WorldKind::Terrain => "elevation grid",
+            WorldKind::GeneratedTerrain => "generated terrain",
+            WorldKind::Asteroids => "generated asteroids",
         })
     }
 }
@@ -162,9 +171,14 @@ pub enum WorldError {
     #[cfg(feature = "city")]
     #[error(transparent)]
     City(#[from] crate::generate::city::CityError),
+    /// It is an elevation grid with a fault.
+    #[cfg(feature = "elevation")]
+    #[error(transparent)]
+    Elevation(#[from] crate::import::elevation::ElevationError),
 }
 
-const EXPECTED: &str = "a 3D Tiles tileset.json, a generated city.json, or a folder with one of them";
+const EXPECTED: &str =
+    "a 3D Tiles tileset.json, a generated city.json, a folder with one of them, or an elevation grid (.npz, GeoTIFF)";
 
 /// Opens a world, recognised by content: a folder with a `tileset.json` or a generated `city.json`, or such a file.
 pub fn open(path: &Path) -> Result<World, WorldError> {
@@ -182,6 +196,10 @@ pub fn open(path: &Path) -> Result<World, WorldError> {
     let io = |source| WorldError::Io { file: file.clone(), source };
     let mut head = Vec::new();
     File::open(&file).map_err(io)?.take(HEAD_BYTES).read_to_end(&mut head).map_err(io)?;
+    #[cfg(feature = "elevation")]
+    if let Some(format) = crate::import::elevation::format(&head) {
+        return Ok(crate::import::elevation::open(&file, format)?);
+    }
     match recognise(&head) {
         Content::City => open_city(&file),
         Content::Json => open_tileset(&file),
