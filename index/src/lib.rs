@@ -9,7 +9,7 @@ pub mod ground;
 pub mod import;
 #[cfg(feature = "tiles3d")]
 pub mod manifest;
-#[cfg(feature = "elevation")]
+#[cfg(feature = "terrain")]
 pub mod terrain;
 pub mod uris;
 pub mod world;

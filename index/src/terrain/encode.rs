@@ -142,8 +142,12 @@ mod tests {
         let grid = |height: &dyn Fn(u32, u32) -> f32| -> Vec<f32> {
             (0..65).flat_map(|y| (0..65).map(move |x| (x, y))).map(|(x, y)| height(x, y)).collect()
         };
+        let hashed = |x: u32, y: u32| {
+            let mixed = x.wrapping_mul(374_761_393).wrapping_add(y.wrapping_mul(668_265_263));
+            ((mixed ^ mixed >> 13).wrapping_mul(1_274_126_177) >> 16) as f32
+        };
         let plane = encode_heights(&grid(&|x, y| (x + 2 * y) as f32), 65);
-        let noise = encode_heights(&grid(&|x, y| ((x + 65 * y).wrapping_mul(2_654_435_761) >> 16) as f32), 65);
+        let noise = encode_heights(&grid(&hashed), 65);
         assert!(plane.len() < 700 && noise.len() > 6000, "{} {}", plane.len(), noise.len());
         assert_eq!(
             encode_heights(&[3.0; 4], 2).len(),

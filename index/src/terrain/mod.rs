@@ -12,3 +12,4 @@ pub use field::{Frame, HeightField, HeightFieldError, MAX_SAMPLES};
 pub use tiles::{TILE_CELLS, TerrainError, terrain};
 
 pub(crate) use encode::decoded_bytes;
+pub(crate) use field::on_cell;

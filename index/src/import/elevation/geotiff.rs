@@ -54,7 +54,10 @@ pub(super) fn read(reader: &mut (impl Read + Seek)) -> Result<Grid, GridError> {
     match tiff.colortype() {
         Ok(ColorType::Gray(_) | ColorType::Multiband { num_samples: 1, .. }) => {}
         Ok(other) => {
-            return Err(GridError::new("PhotometricInterpretation", format!("{other:?}; expected one band of heights")));
+            return Err(GridError::new(
+                "PhotometricInterpretation",
+                format!("{other:?}; expected one band of heights"),
+            ));
         }
         Err(error) => return Err(GridError::new("PhotometricInterpretation", error.to_string())),
     }
