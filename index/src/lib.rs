@@ -9,6 +9,7 @@ pub mod ground;
 pub mod import;
 #[cfg(feature = "tiles3d")]
 pub mod manifest;
+pub mod specification;
 #[cfg(feature = "terrain")]
 pub mod terrain;
 pub mod uris;

@@ -171,6 +171,13 @@ pub enum WorldError {
     #[cfg(feature = "generated")]
     #[error(transparent)]
     Generated(#[from] crate::generate::document::GenerateError),
+    /// It is a mosaic that cannot be made.
+    #[cfg(feature = "tiles3d")]
+    #[error(transparent)]
+    Mosaic(Box<crate::generate::mosaic::MosaicError>),
+    /// What names it is at fault.
+    #[error(transparent)]
+    Specification(#[from] crate::specification::SpecificationError),
     /// It is an elevation grid with a fault.
     #[cfg(feature = "elevation")]
     #[error(transparent)]

@@ -81,6 +81,10 @@ pub enum GenerateError {
         /// The most, and what can be done.
         limit: String,
     },
+    /// The surface cannot be sampled.
+    #[cfg(feature = "terrain")]
+    #[error("the generated terrain: {0}")]
+    Terrain(crate::terrain::TerrainError),
     /// The tree cannot be built.
     #[error("the generated world: {0}")]
     Tree(#[from] LodTreeError),

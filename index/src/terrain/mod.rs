@@ -13,3 +13,4 @@ pub use tiles::{TILE_CELLS, TerrainError, terrain};
 
 pub(crate) use encode::decoded_bytes;
 pub(crate) use field::on_cell;
+pub(crate) use tiles::{Level, measure};

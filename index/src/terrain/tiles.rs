@@ -28,16 +28,16 @@ pub enum TerrainError {
 
 /// A tile as measured.
 #[derive(Clone, Copy, Debug)]
-struct Tile {
+pub(crate) struct Tile {
     /// Largest vertical distance from the samples beneath, and not less than that of any tile beneath, metres.
-    error: f64,
-    bounds: Aabb,
+    pub(crate) error: f64,
+    pub(crate) bounds: Aabb,
     wire_bytes: u32,
     decoded_bytes: u32,
 }
 
 /// The tiles of one level by row and column; `None` where no sample has a height.
-struct Level {
+pub(crate) struct Level {
     across: u32,
     tiles: Vec<Option<Tile>>,
 }
@@ -75,7 +75,7 @@ pub fn terrain(
 }
 
 /// Levels from the finest to the one of a single tile.
-fn measure(field: &HeightField) -> Result<Vec<Level>, HeightFieldError> {
+pub(crate) fn measure(field: &HeightField) -> Result<Vec<Level>, HeightFieldError> {
     let cells = [field.columns() - 1, field.rows() - 1];
     let mut levels: Vec<Level> = Vec::new();
     loop {
@@ -100,7 +100,7 @@ fn measure(field: &HeightField) -> Result<Vec<Level>, HeightFieldError> {
 }
 
 impl Level {
-    fn get(&self, x: u32, y: u32) -> Option<&Tile> {
+    pub(crate) fn get(&self, x: u32, y: u32) -> Option<&Tile> {
         if x >= self.across { None } else { self.tiles.get((y * self.across + x) as usize)?.as_ref() }
     }
 

@@ -2,12 +2,16 @@
 
 use anyhow::{Context, bail};
 use clap::Args;
+use foresight_index::specification::{self, Progress};
 use foresight_index::world::{self, World};
 use foresight_scheduler::view::View;
 use foresight_sim::flight::Flight;
 use foresight_sim::link::{self, LinkTrace};
 use foresight_sim::path::{self, Axis, CameraAxes, CameraPath, Placement, QuatOrder, parse::Options, place::Site};
+use std::io::IsTerminal;
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// How a path is read and put into the world; shared by `replay` and `inspect`.
 #[derive(Clone, Debug, Args)]
@@ -74,8 +78,27 @@ fn viewport(text: &str) -> Result<[u32; 2], String> {
 pub(crate) fn open_world(name: Option<&str>) -> anyhow::Result<(String, World)> {
     match name {
         None => Ok(("built-in city".to_owned(), world::built_in_city())),
-        Some(name) => Ok((name.to_owned(), world::open(Path::new(name))?)),
+        Some(name) => Ok((name.to_owned(), world_named(name)?)),
     }
+}
+
+/// What `name` names: a file, a folder, a generated world's parameters, or a URL. Downloads show their progress on a
+/// terminal.
+pub(crate) fn world_named(name: &str) -> anyhow::Result<World> {
+    let shows_progress = std::io::stderr().is_terminal();
+    let downloaded = Arc::new(AtomicBool::new(false));
+    let begun = downloaded.clone();
+    let progress: Progress = Arc::new(move |files, bytes| {
+        if shows_progress {
+            eprint!("\rdownloaded {files} files, {:.1} MB", bytes as f64 / 1e6);
+            begun.store(true, Ordering::Relaxed);
+        }
+    });
+    let world = specification::open(name, &progress);
+    if downloaded.load(Ordering::Relaxed) {
+        eprint!("\r\x1b[K");
+    }
+    Ok(world?)
 }
 
 /// The built-in link, or what `spec` says.
@@ -128,8 +151,8 @@ pub(crate) fn place(path: &CameraPath, world: &World, as_is: bool, args: &PathAr
         let placement = args.place.unwrap_or_default();
         let bounds = world.tree.bounds(world.tree.root());
         let centre = bounds.centre();
-        let ground_height =
-            world.ground_height(centre).with_context(|| format!("world {}: no ground under its centre", world.name))?;
+        // Without a ground, as in space, heights count from the world's middle.
+        let ground_height = world.ground_height(centre).unwrap_or_else(|| centre.dot(world.up));
         let site = Site { centre, up: world.up, ground_height };
         placed = path::place::place(path, &placement, &site)?;
         (&placed, placement.to_string())

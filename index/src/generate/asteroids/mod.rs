@@ -6,7 +6,10 @@
 //! merged, each of a few triangles, or where there are too many for that, as clusters. Where the models lie, how large
 //! they are and how much they matter is drawn from the seed; the paper tells none of that.
 
+mod geometry;
 mod shape;
+
+pub use geometry::{MAX_WRITTEN_TILES, write};
 
 use foresight_scheduler::lod_tree::{Aabb, LodTreeBuilder, LodTreeError, Representation};
 use glam::DVec3;

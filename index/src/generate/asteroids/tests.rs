@@ -67,3 +67,20 @@ fn one_model_and_models_in_one_point() {
     assert_eq!((halves.len(), halves[0].0.at, halves[0].1.len()), (1, [1; 3], 9));
     assert!(asteroids(&AsteroidParams { count: MAX_REPRESENTATIONS as u32, ..few() }).is_err());
 }
+
+#[test]
+fn a_written_field_is_opened_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("a");
+    let written = write(&few(), &out, &mut |_, _| {}).unwrap();
+    let catalogue = asteroids(&few()).unwrap();
+    let world = open(&out).unwrap();
+    assert!(world.notes.is_empty(), "{:?}", world.notes);
+    // A tile a level where the catalogue has a node a model.
+    assert_eq!(world.tree.representations(), catalogue.tree.representations());
+    assert_eq!((written.tiles, world.summary().leaves), (world.tree.representations() as u64, 700));
+    assert_eq!(written.files, 2 * 16 + catalogue.tree.nodes() as u64 - 700);
+    let (bounds, model) = (world.summary().bounds, catalogue.summary().bounds);
+    assert!((bounds.min - model.min).abs().max_element() < 0.01 && (bounds.max - model.max).abs().max_element() < 0.01);
+    assert_eq!(world.tree.error(RepId(0)), catalogue.tree.error(RepId(0)));
+}

@@ -4,7 +4,10 @@
 //! Of the catalogue alone, errors and sizes are modelled, see `model`; where the geometry is written they are its own.
 
 mod fractal;
+mod geometry;
 mod model;
+
+pub use geometry::{MAX_WRITTEN_TILES, write};
 
 use std::sync::Arc;
 

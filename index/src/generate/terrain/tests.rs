@@ -104,3 +104,29 @@ fn the_model_fits_tiles_that_are_made() {
     assert!(sizes.0 > 0.85 && (0.95..1.05).contains(&sizes.1) && sizes.2 < 1.1, "sizes {sizes:?}");
     assert!(outside * 10_000 < side * side, "{outside} samples outside the bounds");
 }
+
+#[test]
+fn a_written_terrain_is_opened_as_what_was_measured() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("t");
+    let params = TerrainParams { size: 3.0 * 640.0, ..small() };
+    let mut told = Vec::new();
+    let written = write(&params, &out, &mut |done, all| told.push((done, all))).unwrap();
+    assert_eq!((written.tiles, written.files, told.last()), (14, 14, Some(&(14, 14))));
+    let world = open(&out).unwrap();
+    assert!(world.notes.is_empty(), "{:?}", world.notes);
+    assert_eq!((world.up, world.tree.representations()), (DVec3::Z, 14));
+    let sizes: u64 = (0..14).map(|rep| u64::from(world.tree.wire_bytes(RepId(rep)))).sum();
+    assert_eq!(sizes, written.bytes);
+    // The same surface as the catalogue's, and the same errors as an elevation grid would have.
+    let catalogue = terrain(&params).unwrap();
+    let (bounds, model) = (world.summary().bounds, catalogue.summary().bounds);
+    assert_eq!((bounds.min.truncate(), bounds.max.truncate()), (model.min.truncate(), model.max.truncate()));
+    let root = world.tree.error(RepId(0));
+    assert!(root > 0.0 && (0.4..2.5).contains(&(root / catalogue.tree.error(RepId(0)))), "{root}");
+    let leaf = (0..world.tree.nodes() as u32).map(NodeId).find(|&node| world.tree.is_leaf(node)).unwrap();
+    assert_eq!(world.tree.error(world.tree.own(leaf).next().unwrap()), 0.0);
+    let refused =
+        write(&TerrainParams { size: 200_000.0, ..small() }, &folder.path().join("u"), &mut |_, _| {}).unwrap_err();
+    assert!(refused.to_string().contains("--catalogue-only"), "{refused}");
+}
