@@ -2,13 +2,17 @@
 
 use anyhow::{Context, bail};
 use clap::Args;
+use foresight_index::specification::{self, Progress};
 use foresight_index::world::{self, World};
 use foresight_scheduler::view::View;
 use foresight_sim::flight::Flight;
 use foresight_sim::link::{self, LinkTrace};
 use foresight_sim::path::{self, Axis, CameraAxes, CameraPath, Look, Placement, QuatOrder, look, parse::Options};
 use foresight_sim::path::{head::Head, recording::Sample};
+use std::io::IsTerminal;
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// How a path is read and put into the world; shared by `replay` and `inspect`.
 #[derive(Clone, Debug, Args)]
@@ -134,8 +138,27 @@ fn epsg(text: &str) -> Result<u32, String> {
 pub(crate) fn open_world(name: Option<&str>) -> anyhow::Result<(String, World)> {
     match name {
         None => Ok(("built-in city".to_owned(), world::built_in_city())),
-        Some(name) => Ok((name.to_owned(), world::open(Path::new(name))?)),
+        Some(name) => Ok((name.to_owned(), world_named(name)?)),
     }
+}
+
+/// What `name` names: a file, a folder, a generated world's parameters, or a URL. Downloads show their progress on a
+/// terminal.
+pub(crate) fn world_named(name: &str) -> anyhow::Result<World> {
+    let shows_progress = std::io::stderr().is_terminal();
+    let downloaded = Arc::new(AtomicBool::new(false));
+    let begun = downloaded.clone();
+    let progress: Progress = Arc::new(move |files, bytes| {
+        if shows_progress {
+            eprint!("\rdownloaded {files} files, {:.1} MB", bytes as f64 / 1e6);
+            begun.store(true, Ordering::Relaxed);
+        }
+    });
+    let world = specification::open(name, &progress);
+    if downloaded.load(Ordering::Relaxed) {
+        eprint!("\r\x1b[K");
+    }
+    Ok(world?)
 }
 
 /// The built-in link, or what `spec` says.

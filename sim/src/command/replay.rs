@@ -31,7 +31,9 @@ const BUILT_IN_STARTS: u32 = 4;
     opening, falloff, tolerance, slack, turn-rate and speed (declared, rad/s and m/s), request-cost\n  lookahead, 3d-tiles-renderer: target (pixels), parallel"
 )]
 pub(crate) struct ReplayArgs {
-    /// A world directory, tileset.json or generated city; the built-in city if not given
+    /// A world directory, tileset.json, elevation grid (.npz, GeoTIFF), or a generated world by its parameters:
+    /// city:blocks=40,seed=7, terrain:size=40km,resolution=10m, asteroids:count=29264, mosaic:TILESET,grid=16; the built-in
+    /// city if not given
     #[arg(long, value_name = "WORLD")]
     world: Option<String>,
     /// A TUM or EyeNavGS recording or one of our own, or steady, turn (with :speed=5,duration=60), teleport (with

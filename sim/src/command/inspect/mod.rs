@@ -7,7 +7,8 @@ mod world;
 use super::inputs::{self, PathArgs};
 use anyhow::bail;
 use clap::Args;
-use foresight_index::world::World;
+use foresight_index::specification;
+use foresight_index::world::{World, WorldError};
 use foresight_scheduler::benefit::cut::CutSettings;
 use foresight_sim::link::LinkTrace;
 use foresight_sim::outcome::regime;
@@ -34,6 +35,9 @@ enum Input {
 
 /// Tries the three kinds; if none fits, says why each does not. A table of positions and bitrates is a path and a link.
 fn recognise(file: &str, args: &PathArgs) -> anyhow::Result<Vec<Input>> {
+    if specification::is_specification(file) {
+        return Ok(vec![Input::World(Box::new(inputs::world_named(file)?))]);
+    }
     let generated = file.starts_with("constant:") || inputs::MADE_PATHS.iter().any(|made| file.starts_with(made));
     if !generated && !Path::new(file.split(',').next().unwrap_or(file)).exists() {
         bail!("{file}: no such file or directory; expected a world, a path or a link");
@@ -53,6 +57,7 @@ fn recognise(file: &str, args: &PathArgs) -> anyhow::Result<Vec<Input>> {
             Ok(link) => Ok(vec![Input::Link(link)]),
             Err(link_error) => match foresight_index::world::open(path) {
                 Ok(world) => Ok(vec![Input::World(Box::new(world))]),
+                Err(error @ WorldError::Elevation(_)) => Err(error.into()),
                 Err(_) => bail!("{file} is neither a path ({path_error:#}) nor a link ({link_error})"),
             },
         },
