@@ -1,4 +1,4 @@
-//! `3d-tiles-renderer`: the loading of NASA-AMMOS 3DTilesRendererJS 0.5.1 with its shipped settings, read from
+//! `3d-tiles-renderer`: the loading of NASA-AMMOS 3DTilesRendererJS 0.5.3 with its shipped settings, read from
 //! `TilesRendererBase.js`, `traverseFunctions.js`, `PriorityQueue.js`, `LRUCache.js` and `three/…/TilesRenderer.js`.
 //!
 //! Once per frame:
@@ -12,7 +12,9 @@
 //!    used. A download that has begun is not aborted by this, only by 3.
 //! 3. *Unload* if the cache is above its lower cap (5 % of it at a time): only unused tiles, unfinished before loaded,
 //!    then oldest last-visited frame, deeper, earlier in loading, lower error.
-//! 4. *Request*, at most 25 in flight: higher error, nearer, shallower.
+//! 4. *Request*: higher error, nearer, shallower; at most 25 that have had no response. `PriorityQueue` waits for what
+//!    `fetch` promises, which is the response's header: bodies still coming hold no slot. How many of those there can be
+//!    is up to the connection: 100, which is what HTTP/2 recommends that a server allows at least (RFC 9113, 6.5.2).
 //!
 //! A failed tile is not asked for again until the cache has dropped it.
 //!
@@ -29,7 +31,6 @@
 //!   shipped, bytes count once a tile is loaded. "Full" is: the next request does not fit. Unused tiles then go at once,
 //!   if that makes room (shipped: when the download has overdrawn the cap). If not, the queue waits for what is on its
 //!   way, and when nothing is, later requests that fit go ahead.
-//! - The shipped queue frees a slot at the response's header; here at the last byte, as its limit is meant.
 //! - Contents have their prerequisites requested first and kept as long as they are used or cached.
 //! - Queue and downloads run within the frame that finds a tile used; shipped, up to one frame later. The queue is made
 //!   anew each frame: only its order of insertion among equals is lost; here the tile first in preorder goes first.
@@ -61,8 +62,10 @@ const FRAME: Time = Time(16_666_667);
 pub struct TilesRendererSettings {
     /// `errorTarget`: error on screen at which refinement stops, pixels.
     pub error_target_px: f64,
-    /// `downloadQueue.maxJobs`.
+    /// `downloadQueue.maxJobsPerOrigin`: requests without a response.
     pub max_downloads: usize,
+    /// Requests and responses that the connection carries at once.
+    pub max_streams: usize,
     /// `lruCache.maxSize`: no tile is admitted at this many.
     pub max_items: usize,
     /// `lruCache.minSize`: unused tiles are unloaded above this many.
@@ -78,6 +81,7 @@ impl Default for TilesRendererSettings {
         TilesRendererSettings {
             error_target_px: 16.0,
             max_downloads: 25,
+            max_streams: 100,
             max_items: 8000,
             min_items: 6000,
             min_bytes_share: 0.75,
@@ -254,13 +258,19 @@ impl TilesRenderer {
     }
 
     fn free_slots(&self, state: &ClientState) -> usize {
-        self.settings.max_downloads.saturating_sub(state.requests().len())
+        let is_cancelled = |rep| self.actions.iter().any(|a| matches!(a, Action::Cancel(c) if *c == rep));
+        let (mut streams, mut waiting) = (0, 0);
+        for request in state.requests().iter().filter(|r| !is_cancelled(r.rep)) {
+            streams += 1;
+            waiting += usize::from(request.responded.is_none());
+        }
+        let slots = self.settings.max_downloads.saturating_sub(waiting);
+        slots.min(self.settings.max_streams.saturating_sub(streams))
     }
 
     /// `tryRunJobs` of the download queue.
     fn request(&mut self, state: &ClientState, freed: u64) {
-        let cancelled = self.actions.iter().filter(|a| matches!(a, Action::Cancel(_))).count();
-        let mut slots = self.free_slots(state) + cancelled;
+        let mut slots = self.free_slots(state);
         let mut free = state.free_bytes() + freed;
         let mut queue = core::mem::take(&mut self.queue);
         let mut sorted = 0;
