@@ -1,12 +1,16 @@
 // Plays a recorded camera path in real time before a viewer, and records what the viewer asks for.
 //
-// Contents live on one origin, /world/content/REP, so that a viewer's limit per server holds. Chromium opens 6 connections a
-// host with HTTP/1.1; a browser and a server that speak HTTP/2 carry at least about 100 requests at once (RFC 9113,
-// 6.5.2). So each request is sent to the least busy of 17 names of this machine: 102 at once, one after the other.
+// Contents live on one origin, /world/content/REP, so that a viewer's limit per server holds. The connection is taken to
+// carry a number of requests at once that the case sets: over HTTP/2 the 100 streams that a server should allow at least
+// (RFC 9113, 6.5.2), over HTTP/1.1 Chromium's 6. What is asked for beyond that waits in the browser, first come first
+// served. This server speaks HTTP/1.1: each request goes to the least busy of 17 names of this machine, 6 connections each.
 
 const HOSTS = 17;
+let streamsMax = 6 * HOSTS;
 const busy = new Array(HOSTS).fill(0);
+const waiting = [];
 const requests = [];
+let streams = 0;
 let start = performance.now();
 const seconds = () => (performance.now() - start) / 1000;
 
@@ -15,26 +19,44 @@ function contentOf(url) {
   return found ? Number(found[1]) : null;
 }
 
-// Records the request and answers where it goes, with a function to call when it has ended.
-function dispatch(rep) {
-  requests.push([seconds(), rep]);
+// A connection for a request that is sent now; `end` is called when it is over, and lets the next one go.
+function connect(rep) {
   const host = busy.indexOf(Math.min(...busy));
   busy[host] += 1;
   let over = false;
   const end = () => {
-    if (!over) {
-      over = true;
-      busy[host] -= 1;
-    }
+    if (over) return;
+    over = true;
+    busy[host] -= 1;
+    const next = waiting.shift();
+    if (next) next();
+    else streams -= 1;
   };
   return { url: `http://c${host}.localhost:${location.port}/world/content/${rep}`, end };
+}
+
+async function turn(signal) {
+  if (streams < streamsMax) {
+    streams += 1;
+    return;
+  }
+  await new Promise((resolve, reject) => {
+    waiting.push(resolve);
+    signal?.addEventListener('abort', () => {
+      const place = waiting.indexOf(resolve);
+      if (place >= 0) waiting.splice(place, 1);
+      reject(signal.reason);
+    });
+  });
 }
 
 const fetchAsIs = window.fetch.bind(window);
 window.fetch = async (input, init) => {
   const rep = typeof input === 'string' || input instanceof URL ? contentOf(input) : null;
   if (rep === null) return fetchAsIs(input, init);
-  const { url, end } = dispatch(rep);
+  requests.push([seconds(), rep]);
+  await turn(init?.signal);
+  const { url, end } = connect(rep);
   init?.signal?.addEventListener('abort', end);
   try {
     const response = await fetchAsIs(url, init);
@@ -47,13 +69,16 @@ window.fetch = async (input, init) => {
   }
 };
 
+// The viewer that uses these has at most 18 under way: none waits.
 const openAsIs = XMLHttpRequest.prototype.open;
 XMLHttpRequest.prototype.open = function (method, url, ...rest) {
   const rep = contentOf(url);
   if (rep === null) return openAsIs.call(this, method, url, ...rest);
-  const sent = dispatch(rep);
-  this.addEventListener('loadend', sent.end);
-  return openAsIs.call(this, method, sent.url, ...rest);
+  requests.push([seconds(), rep]);
+  streams += 1;
+  const { url: elsewhere, end } = connect(rep);
+  this.addEventListener('loadend', end);
+  return openAsIs.call(this, method, elsewhere, ...rest);
 };
 
 const post = (to, body) => fetchAsIs(to, { method: 'POST', body });
@@ -63,6 +88,7 @@ const post = (to, body) => fetchAsIs(to, { method: 'POST', body });
 export async function play(prepare) {
   try {
     const setup = await (await fetchAsIs('/case.json')).json();
+    streamsMax = setup.streams;
     const frame = await prepare(setup);
     // A page's first animation frames come late.
     for (let i = 0; i < 30; i += 1) await new Promise(requestAnimationFrame);

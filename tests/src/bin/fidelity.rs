@@ -20,6 +20,9 @@ struct Arguments {
     /// Runs of each viewer
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
     runs: u32,
+    /// Also print both orders of first requests, the viewer's of its first run
+    #[arg(long, conflicts_with = "json")]
+    orders: bool,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
@@ -36,6 +39,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             let outcome = compare(&browser, viewer, case, arguments.runs as usize)?;
             if !arguments.json {
                 println!("{outcome}");
+                if arguments.orders {
+                    for (side, order) in [("real", &outcome.order_real), ("policy", &outcome.order_ours)] {
+                        for (place, ask) in order.iter().enumerate() {
+                            println!("{side:6} {place:5} {ask}");
+                        }
+                    }
+                }
             }
             outcomes.push(outcome);
         }

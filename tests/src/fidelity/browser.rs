@@ -130,7 +130,9 @@ impl Browser {
         drop(chromium);
         let report: Report = match said {
             Said::Failure(message) => return Err(BrowserError::Page(message)),
-            Said::Result(bytes) => serde_json::from_slice(&bytes).map_err(|error| BrowserError::Page(error.to_string()))?,
+            Said::Result(bytes) => {
+                serde_json::from_slice(&bytes).map_err(|error| BrowserError::Page(error.to_string()))?
+            }
         };
         let requests = report.requests.iter().map(|&(at_s, rep)| Asked { at_s, rep: RepId(rep) }).collect();
         Ok(Recorded {

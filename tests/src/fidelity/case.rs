@@ -27,6 +27,11 @@ const FOV_Y_DEG: f64 = 60.0;
 /// What the rivals aim at as shipped, pixels.
 const ERROR_TARGET_PX: f64 = 16.0;
 
+/// Concurrent streams that a server should allow at least (RFC 9113, 6.5.2).
+const HTTP_2: usize = 100;
+/// Connections to a host that Chromium opens over HTTP/1.1.
+const HTTP_1: usize = 6;
+
 /// What is replayed.
 pub struct Case {
     /// What to call it.
@@ -41,6 +46,8 @@ pub struct Case {
     pub link: LinkTrace,
     /// Memory, bytes.
     pub budget: u64,
+    /// What the browser's connection carries at once: 6 over HTTP/1.1, 100 over HTTP/2 as recommended.
+    pub streams: usize,
     client: ClientSettings,
 }
 
@@ -86,8 +93,11 @@ pub fn cases(data: Option<&Path>) -> Result<Vec<Case>, CaseError> {
         let file = |name: &str| data.join("network").join(name).display().to_string();
         let norway = format!("{},rtt=80", file("norway3g_car_10.txt"));
         cases.push(city("city, 3G by car", &norway, 256 << 20)?);
-        let mars = |name: &str, link: &str, budget: u64| mars(name, &data.join("scenes/mars_dingo_gap_3dtiles"), link, budget);
+        let mars =
+            |name: &str, link: &str, budget: u64| mars(name, &data.join("scenes/mars_dingo_gap_3dtiles"), link, budget);
         cases.push(mars("Dingo Gap, 8 Mbit/s", "constant:8Mbit,40ms", 256 << 20)?);
+        let over_http_1 = mars("Dingo Gap, 8 Mbit/s, HTTP/1.1", "constant:8Mbit,40ms", 256 << 20)?;
+        cases.push(Case { streams: HTTP_1, ..over_http_1 });
         cases.push(mars("Dingo Gap, 3G by car", &norway, 256 << 20)?);
         cases.push(mars("Dingo Gap, 8 Mbit/s, 32 MiB", "constant:8Mbit,40ms", 32 << 20)?);
     }
@@ -104,6 +114,7 @@ fn city(name: &str, link: &str, budget: u64) -> Result<Case, CaseError> {
         flight: sample(&path::built_in(), 24.0),
         link: link::parse::from_specification(link)?,
         budget,
+        streams: HTTP_2,
         client,
     })
 }
@@ -123,6 +134,7 @@ fn mars(name: &str, folder: &Path, link: &str, budget: u64) -> Result<Case, Case
         folder: Some(folder.to_owned()),
         link: link::parse::from_specification(link)?,
         budget,
+        streams: HTTP_2,
         client: ClientSettings::default(),
     })
 }
@@ -145,7 +157,7 @@ impl Case {
         self.world.ground_height(self.world.tree.bounds(self.world.tree.root()).centre()).unwrap_or(0.0)
     }
 
-    /// Replays the policy of that name with what it ships with.
+    /// Replays a policy with its options.
     pub(super) fn replay(&self, policy: &str) -> Result<Replayed, CaseError> {
         let spec = PolicySpec::parse_list(policy, 0.7, ERROR_TARGET_PX)?.swap_remove(0);
         let tree = &self.world.tree;

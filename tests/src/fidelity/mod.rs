@@ -24,18 +24,25 @@ pub use case::{Case, CaseError, cases};
 pub use order::{kendall, spearman};
 
 /// A real viewer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug)]
 pub struct Viewer {
     /// Its name in the package registry, that of the policy, and that of its page.
     pub name: &'static str,
     /// The page that runs it.
     page: &'static str,
+    /// The policy that stands for it, with the options that a case asks for.
+    policy: fn(&Case) -> String,
 }
 
 /// The viewers that there are pages for.
 pub const VIEWERS: [Viewer; 2] = [
-    Viewer { name: "3d-tiles-renderer", page: include_str!("../../fidelity/3d-tiles-renderer.html") },
-    Viewer { name: "cesium", page: include_str!("../../fidelity/cesium.html") },
+    Viewer {
+        name: "3d-tiles-renderer",
+        page: include_str!("../../fidelity/3d-tiles-renderer.html"),
+        policy: |case| format!("3d-tiles-renderer:parallel={}", case.streams),
+    },
+    // Its own limit is below what HTTP/2 carries.
+    Viewer { name: "cesium", page: include_str!("../../fidelity/cesium.html"), policy: |_| "cesium".to_owned() },
 ];
 
 /// A request.
@@ -132,6 +139,12 @@ pub struct Outcome {
     pub median_shift_s: f64,
     /// Where the policy and the first run part.
     pub first_divergence: Option<Divergence>,
+    /// First requests of the viewer's first run, in order.
+    #[serde(skip)]
+    pub order_real: Vec<Ask>,
+    /// First requests of the policy, in order.
+    #[serde(skip)]
+    pub order_ours: Vec<Ask>,
 }
 
 /// Why there is no comparison.
@@ -155,7 +168,7 @@ pub enum FidelityError {
 
 /// Runs the viewer `runs` times over the case, and the policy once.
 pub fn compare(browser: &Browser, viewer: &Viewer, case: &Arc<Case>, runs: usize) -> Result<Outcome, FidelityError> {
-    let ours = case.replay(viewer.name)?;
+    let ours = case.replay(&(viewer.policy)(case))?;
     let failed = |source| FidelityError::Browser { viewer: viewer.name, case: case.name.clone(), source };
     let real: Vec<Recorded> =
         (0..runs.max(1)).map(|_| browser.run(viewer, case).map_err(failed)).collect::<Result<_, _>>()?;
@@ -183,6 +196,8 @@ fn outcome(viewer: &Viewer, case: &Case, real: &[Recorded], ours: &[Asked], canc
         ceiling: mean(&pairs),
         median_shift_s: median_shift(first, &own),
         first_divergence: divergence(case, first, &own),
+        order_real: describe(case, first, &own),
+        order_ours: describe(case, &own, first),
     }
 }
 
@@ -233,10 +248,16 @@ fn median_shift(real: &[Asked], ours: &[Asked]) -> f64 {
 fn divergence(case: &Case, real: &[Asked], ours: &[Asked]) -> Option<Divergence> {
     let place = (0..real.len().max(ours.len()))
         .find(|&place| real.get(place).map(|asked| asked.rep) != ours.get(place).map(|asked| asked.rep))?;
-    let ask = |own: &[Asked], other: &[Asked]| {
-        own.get(place).map(|asked| case.describe(asked, other.iter().position(|there| there.rep == asked.rep)))
-    };
+    let ask = |own: &[Asked], other: &[Asked]| own.get(place).map(|asked| case.describe(asked, place_of(asked, other)));
     Some(Divergence { place, real: ask(real, ours), ours: ask(ours, real) })
+}
+
+fn place_of(asked: &Asked, order: &[Asked]) -> Option<usize> {
+    order.iter().position(|there| there.rep == asked.rep)
+}
+
+fn describe(case: &Case, own: &[Asked], other: &[Asked]) -> Vec<Ask> {
+    own.iter().map(|asked| case.describe(asked, place_of(asked, other))).collect()
 }
 
 impl fmt::Display for Ask {

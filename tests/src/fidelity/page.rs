@@ -26,6 +26,7 @@ pub(super) fn setup(case: &Case) -> Value {
         "fov_y_deg": case.fov_y_deg(),
         "viewport": case.flight.views[0].viewport,
         "budget": case.budget,
+        "streams": case.streams,
         "up": case.world.up.to_array(),
         "ground": case.ground(),
     })
@@ -85,7 +86,8 @@ mod tests {
 
     #[test]
     fn levels_are_a_chain_and_children_hang_beneath_the_finest() {
-        let level = |error| Representation { wire_bytes: 1, decoded_bytes: 1, error, prerequisite: None, direction: None };
+        let level =
+            |error| Representation { wire_bytes: 1, decoded_bytes: 1, error, prerequisite: None, direction: None };
         let unit = |x: f64| Some(Aabb { min: DVec3::new(x, 0.0, 0.0), max: DVec3::new(x + 1.0, 1.0, 1.0) });
         let mut b = LodTreeBuilder::default();
         b.open().unwrap();

@@ -54,9 +54,15 @@ pub(super) struct Server {
 enum ToPacer {
     /// Time zero is now, and nothing has crossed the link.
     Start,
-    Begin { id: u64, stream: TcpStream, body: Vec<u8> },
+    Begin {
+        id: u64,
+        stream: TcpStream,
+        body: Vec<u8>,
+    },
     /// The connection of this response is closed, or has another request.
-    Over { id: u64 },
+    Over {
+        id: u64,
+    },
     Report(Sender<Traffic>),
 }
 
@@ -226,7 +232,8 @@ fn converse(
 /// A file beneath `node_modules`, never above it.
 fn package_file(folder: &Path, path: &str) -> Option<Vec<u8>> {
     let relative = Path::new(path.strip_prefix('/')?);
-    let inside = relative.starts_with("node_modules") && relative.components().all(|c| matches!(c, Component::Normal(_)));
+    let inside =
+        relative.starts_with("node_modules") && relative.components().all(|c| matches!(c, Component::Normal(_)));
     inside.then(|| std::fs::read(folder.join(relative)).ok()).flatten()
 }
 
