@@ -35,7 +35,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let cases: Vec<Arc<Case>> = cases(data.as_deref())?.into_iter().map(Arc::new).collect();
     let mut outcomes = Vec::new();
     for viewer in VIEWERS.iter().filter(|viewer| arguments.viewer.as_deref().is_none_or(|name| name == viewer.name)) {
-        for case in cases.iter().filter(|case| case.name.contains(&arguments.case)) {
+        for case in cases.iter().filter(|case| viewer.plays(case) && case.name.contains(&arguments.case)) {
             let outcome = compare(&browser, viewer, case, arguments.runs as usize)?;
             if !arguments.json {
                 println!("{outcome}");
