@@ -81,6 +81,15 @@ pub struct Completion {
     pub rep: RepId,
 }
 
+/// A request as the policy made it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Request {
+    /// When.
+    pub at: Time,
+    /// For what.
+    pub rep: RepId,
+}
+
 /// What one replay yielded.
 #[derive(Clone, Debug, Default)]
 pub struct Run {
@@ -90,13 +99,17 @@ pub struct Run {
     pub memory: Vec<u64>,
     /// Bytes that had crossed the link at each sampled frame.
     pub received: Vec<u64>,
+    /// Requests in order, cancelled ones included.
+    pub requests: Vec<Request>,
     /// Completions in order.
     pub completions: Vec<Completion>,
     /// Bytes that crossed the link.
     pub bytes_fetched: u64,
     /// Of these, bytes of what was never the best of anything in view.
     pub bytes_wasted: u64,
-    /// Of these, bytes of requests that were cancelled.
+    /// Requests that were cancelled.
+    pub cancellations: u64,
+    /// Of the bytes that crossed the link, those of requests that were cancelled.
     pub bytes_cancelled: u64,
     /// Of these, bytes of requests that failed, or that were given up because what they need first failed.
     pub bytes_failed: u64,
@@ -338,6 +351,7 @@ impl Replay<'_> {
         self.held += bytes;
         self.transfers.push(Transfer { id, rep, fails: breaks_after.is_some() });
         self.joining.insert((joins, id), rep);
+        self.run.requests.push(Request { at: now, rep });
     }
 
     fn breaks_after(&mut self, rep: RepId, bytes: u64) -> Option<u64> {
@@ -353,6 +367,7 @@ impl Replay<'_> {
     fn cancel(&mut self, rep: RepId, now: Time) {
         if let Some(place) = self.transfers.iter().position(|t| t.rep == rep) {
             let transfer = self.transfers.remove(place);
+            self.run.cancellations += 1;
             self.run.bytes_cancelled += self.link.cancel(transfer.id, now);
             self.held -= self.stage.tree.wire_bytes(rep);
         }
