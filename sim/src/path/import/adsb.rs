@@ -1,5 +1,5 @@
 //! ADS-B states in JSON: a list of records with `timestamp` (ms since 1970), `icao24`, `callsign`, `latitude` and
-//! `longitude` (degrees), `altitude` (feet, by air pressure), `geoaltitude` (feet, by GNSS); others are ignored, and a
+//! `longitude` (degrees), `altitude` (feet, by air pressure), `geoaltitude` (feet, by GNSS), `groundspeed` (knots); others are ignored, and a
 //! record may lack any.
 
 use std::cell::Cell;
@@ -18,6 +18,12 @@ use super::track::{Fix, Track};
 /// Metres per foot.
 const FOOT: f64 = 0.3048;
 
+/// Metres per second per knot.
+const KNOT: f64 = 1852.0 / 3600.0;
+
+/// A speed off by more than this share from the stated one is worth a note.
+const SPEED_MARGIN: f64 = 0.2;
+
 /// Transponders report altitudes in steps of so many feet, or in finer ones.
 const ALTITUDE_STEP: f64 = 25.0;
 
@@ -33,9 +39,10 @@ struct Record {
     longitude: Option<f64>,
     altitude: Option<f64>,
     geoaltitude: Option<f64>,
+    groundspeed: Option<f64>,
 }
 
-/// A state with a position: seconds, degrees, feet.
+/// A state with a position: seconds, degrees, feet, knots.
 #[derive(Clone, Copy)]
 struct State {
     time: f64,
@@ -43,6 +50,7 @@ struct State {
     longitude: f64,
     pressure: Option<f64>,
     gnss: Option<f64>,
+    ground_speed: Option<f64>,
 }
 
 #[derive(Default)]
@@ -94,17 +102,39 @@ impl Aircraft {
                 "mind: geoaltitude taken ({heights}), on average {mean:+.1} m against the pressure altitude, which the \
                  file holds too"
             ));
-        } else if !has_gnss {
-            track.add_note(
-                "mind: pressure altitudes (1013.25 hPa): off from heights above sea level by about 8 m per hPa, and \
-                 those from heights above the ellipsoid by up to 107 m",
-            );
         }
         let used = || self.states.iter().filter_map(|state| if has_gnss { state.gnss } else { state.pressure });
         if used().count() > 1 && used().all(|feet| feet % ALTITUDE_STEP == 0.0) {
             track.add_note(format!("heights in steps of {ALTITUDE_STEP} ft ({:.1} m)", ALTITUDE_STEP * FOOT));
         }
-        track.finish(heights)
+        let mut path = track.finish(heights)?;
+        if let Some([low, high]) = self.speed_ratios(&path) {
+            path.add_note(format!(
+                "mind: from one position to the next the aircraft moves {low:.2} to {high:.2} times as fast as the ground \
+                 speed that the file states (5th to 95th percentile): times are coarser than positions"
+            ));
+        }
+        Ok(path)
+    }
+
+    /// 5th and 95th percentile of the speed between two positions over the stated one, where they are worth a note.
+    /// Compared only where no record was dropped or put elsewhere.
+    fn speed_ratios(&self, path: &CameraPath) -> Option<[f64; 2]> {
+        let poses = path.poses();
+        if poses.len() != self.states.len() {
+            return None;
+        }
+        let steps = poses.windows(2).zip(&self.states);
+        let mut ratios: Vec<f64> = steps
+            .filter_map(|(pair, state)| {
+                let stated = state.ground_speed.filter(|speed| *speed > 0.0)? * KNOT;
+                Some(pair[0].position.distance(pair[1].position) / (pair[1].time - pair[0].time) / stated)
+            })
+            .collect();
+        ratios.sort_by(f64::total_cmp);
+        let low = *ratios.get(ratios.len() / 20)?;
+        let high = *ratios.get(ratios.len() - 1 - ratios.len() / 20)?;
+        (low < 1.0 - SPEED_MARGIN || high > 1.0 + SPEED_MARGIN).then_some([low, high])
     }
 }
 
@@ -197,14 +227,9 @@ impl<'de> Visitor<'de> for Records<'_> {
     fn visit_seq<A: SeqAccess<'de>>(self, mut records: A) -> Result<(), A::Error> {
         while let Some(record) = records.next_element::<Record>()? {
             let icao24 = record.icao24.ok_or_else(|| A::Error::custom("a record without icao24; expected one"))?;
-            if !self.fleet.contains_key(&icao24.to_ascii_lowercase()) {
-                self.fleet.insert(icao24.to_ascii_lowercase(), Aircraft::default());
-            }
-            let Some(aircraft) = self.fleet.get_mut(&icao24.to_ascii_lowercase()) else { continue };
+            let aircraft = self.fleet.entry(icao24.to_ascii_lowercase()).or_default();
             if let Some(callsign) = record.callsign.as_deref().map(str::trim).filter(|text| !text.is_empty()) {
-                if !aircraft.callsigns.contains(callsign) {
-                    aircraft.callsigns.insert(callsign.to_owned());
-                }
+                aircraft.callsigns.insert(callsign.to_owned());
             }
             match (record.timestamp, record.latitude, record.longitude) {
                 (Some(milliseconds), Some(latitude), Some(longitude)) => aircraft.states.push(State {
@@ -213,6 +238,7 @@ impl<'de> Visitor<'de> for Records<'_> {
                     longitude,
                     pressure: record.altitude,
                     gnss: record.geoaltitude,
+                    ground_speed: record.groundspeed,
                 }),
                 _ => aircraft.incomplete += 1,
             }

@@ -30,8 +30,10 @@ use super::{CameraPath, PathError};
 
 pub(super) use comma2k19::{from_folder, is_array, is_folder};
 
-/// Most bytes that a compressed file may hold.
+/// Most bytes that a compressed file may hold …
 const DECOMPRESSED_BYTES_MAX: u64 = 1 << 30;
+/// … and most for each of its own, beyond a first mebibyte; recordings stay below 30.
+const DECOMPRESSED_RATIO_MAX: u64 = 200;
 
 /// How many lines are looked at for what only an IGC file holds.
 const IGC_LINES: usize = 200;
@@ -106,10 +108,11 @@ pub(super) fn read(name: &str, bytes: &[u8], options: &Options) -> Result<Camera
     }
     let mut content = Vec::new();
     let decoder = MultiGzDecoder::new(bytes);
-    let read = decoder.take(DECOMPRESSED_BYTES_MAX + 1).read_to_end(&mut content);
+    let most = DECOMPRESSED_BYTES_MAX.min((1 << 20) + DECOMPRESSED_RATIO_MAX * bytes.len() as u64);
+    let read = decoder.take(most + 1).read_to_end(&mut content);
     read.map_err(|error| PathError::Whole { name: name.to_owned(), message: format!("gzip: {error}") })?;
-    if content.len() as u64 > DECOMPRESSED_BYTES_MAX {
-        let message = format!("more than {DECOMPRESSED_BYTES_MAX} bytes decompressed; expected at most that");
+    if content.len() as u64 > most {
+        let message = format!("{} bytes hold more than {most}; expected at most that decompressed", bytes.len());
         return Err(PathError::Whole { name: name.to_owned(), message });
     }
     read_as(recognise(name, &content)?, name, &content, options)

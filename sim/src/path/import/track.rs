@@ -117,6 +117,9 @@ impl<'a> Track<'a> {
         });
         let poses = poses.collect();
         let mut path = CameraPath::on_earth(self.name, poses, heights)?;
+        for note in self.notes {
+            path.add_note(note);
+        }
         let without = has_attitude.iter().filter(|has| !**has).count();
         if without > 0 {
             look::complete(&mut path, &has_attitude);
@@ -124,9 +127,6 @@ impl<'a> Track<'a> {
                 true => "no orientations: the camera looks along the motion, level".to_owned(),
                 false => format!("{without} of {} poses without orientation look along the motion", has_attitude.len()),
             });
-        }
-        for note in self.notes {
-            path.add_note(note);
         }
         Ok(path)
     }
