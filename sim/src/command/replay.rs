@@ -246,6 +246,11 @@ pub(crate) fn run(args: ReplayArgs) -> anyhow::Result<()> {
     if shows_progress {
         eprint!("\r\x1b[K");
     }
+    if link.loss() > 0.0 {
+        let failures = comparison.policies.iter().map(|p| format!("{} {:.1}", p.name, p.failures));
+        let failures = failures.collect::<Vec<_>>().join(", ");
+        comparison.warnings.push(format!("{} % of the requests fail; failures: {failures}", link.loss() * 100.0));
+    }
     comparison.warnings.extend(inputs::world_notes(&world, 5));
     comparison.warnings.extend(path.notes().iter().map(|n| format!("path: {n}")));
     comparison.warnings.extend(link.notes().iter().map(|n| format!("link: {n}")));
