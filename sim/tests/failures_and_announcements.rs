@@ -11,7 +11,7 @@ use foresight_sim::flight::Flight;
 use foresight_sim::link::{LinkTrace, RttPiece};
 use foresight_sim::path::CameraPath;
 use foresight_sim::path::turn::turn;
-use foresight_sim::policies::{NAMES, PolicySpec};
+use foresight_sim::policies::{PolicySpec, names};
 use foresight_sim::replay::{Run, Stage, replay};
 use glam::DVec3;
 
@@ -88,7 +88,7 @@ fn a_path_announced_to_its_end_is_the_true_path() {
 #[test]
 fn who_does_not_listen_is_not_disturbed_by_announcements() {
     let scene = Scene::new(30.0, 6.0);
-    for name in NAMES {
+    for name in names() {
         let (quiet, told) = (scene.replay(name, &link(0.0), 0.0), scene.replay(name, &link(0.0), 1.5));
         assert!(same(&quiet, &told), "{name}: {} and {}", mean(&quiet), mean(&told));
     }
@@ -97,7 +97,7 @@ fn who_does_not_listen_is_not_disturbed_by_announcements() {
 #[test]
 fn every_policy_goes_on_when_requests_fail() {
     let scene = Scene::new(0.0, 30.0);
-    for name in NAMES {
+    for name in names() {
         let whole = scene.replay(name, &link(0.0), 0.0);
         let lossy = scene.replay(name, &link(0.3), 0.0);
         println!("{name}: {} without, {} with {} failures", mean(&whole), mean(&lossy), lossy.failures);
@@ -141,7 +141,7 @@ fn a_round_trip_that_varies_only_in_name_changes_nothing() {
     let pieces = [pieces[0], never];
     let varying = constant.with_varying_rtt(&pieces, Time(1_000_000_000)).expect("pieces");
     assert_ne!(varying.hash(), constant.hash());
-    for name in NAMES {
+    for name in names() {
         let (a, b) = (scene.replay(name, &constant, 0.0), scene.replay(name, &varying, 0.0));
         assert!(same(&a, &b), "{name}: {} and {}", mean(&a), mean(&b));
     }

@@ -4,7 +4,7 @@ use super::inputs::{self, PathArgs};
 use anyhow::Context;
 use clap::{Args, Subcommand};
 use foresight_index::generate::{city, mosaic};
-use foresight_sim::path::recording::{Frame, Writer};
+use foresight_sim::path::recording::Writer;
 use std::ffi::OsString;
 use std::io::{BufWriter, IsTerminal, Write};
 use std::path::PathBuf;
@@ -111,7 +111,7 @@ fn record(args: &PathToRecord) -> anyhow::Result<()> {
     let beside = PathBuf::from(beside);
     let name = beside.display().to_string();
     let file = std::fs::File::create(&beside).with_context(|| name.clone())?;
-    let mut writer = Writer::new(&name, BufWriter::new(file), Frame::Local, path.up())?;
+    let mut writer = Writer::new(&name, BufWriter::new(file), path.frame(), path.up())?;
     for sample in &samples {
         writer.push(sample)?;
     }

@@ -6,8 +6,8 @@ use foresight_index::world::{self, World};
 use foresight_scheduler::view::View;
 use foresight_sim::flight::Flight;
 use foresight_sim::link::{self, LinkTrace};
-use foresight_sim::path::{self, Axis, CameraAxes, CameraPath, Placement, QuatOrder};
-use foresight_sim::path::{head::Head, parse::Options, place::Site, recording::Sample};
+use foresight_sim::path::{self, Axis, CameraAxes, CameraPath, Look, Placement, QuatOrder};
+use foresight_sim::path::{head::Head, look, parse::Options, recording::Sample};
 use std::path::Path;
 
 /// How a path is read and put into the world; shared by `replay` and `inspect`.
@@ -22,12 +22,24 @@ pub(crate) struct PathArgs {
     /// Up of the frame that the recording's positions are in, such as +z
     #[arg(long, value_name = "AXIS", allow_hyphen_values = true)]
     path_up: Option<Axis>,
+    /// The projected system that the recording's positions are in, such as EPSG:32632: puts the path on the Earth
+    #[arg(long, value_name = "EPSG:CODE", value_parser = epsg)]
+    path_crs: Option<u32>,
+    /// The aircraft to take from ADS-B JSON, by its ICAO 24-bit address; the one with most positions if not given
+    #[arg(long, value_name = "ADDRESS")]
+    icao24: Option<String>,
+    /// Where the camera looks: motion, down, target=X,Y,Z (metres in the world), geo=LATITUDE,LONGITUDE,HEIGHT, or
+    /// other=ICAO24 (another aircraft of the same file); as recorded, else along the motion, if not given
+    #[arg(long, value_name = "WHERE")]
+    look: Option<Look>,
     /// A recorded head that rides on the path: its turns about its mean heading, its translations in metres. Without
     /// scale= its positions are taken as metres; EyeNavGS needs that of its scene, such as 0.64
     #[arg(long, value_name = "FILE[,scale=S]")]
     head: Option<String>,
-    /// Where the path goes: geo, or centre,height=2,yaw=0,scale=1 (its middle that many metres above the ground under
-    /// the world's centre, turned by degrees, scaled). The built-in path stands in the built-in world as it is
+    /// Where the path goes: geo (by coordinates; geo,height=M lifts it until its lowest pose is that high above the
+    /// ground), or centre,height=2,yaw=0,scale=1 (its middle that many metres above the ground under the world's centre,
+    /// turned by degrees, scaled). If not given: geo where both have coordinates and meet, else centre; the built-in
+    /// path stands in the built-in world as it is
     #[arg(long, value_name = "PLACE")]
     place: Option<Placement>,
     /// Vertical field of view, degrees
@@ -42,6 +54,9 @@ pub(crate) struct PathArgs {
     /// Replay this many seconds; to the end of the path if not given
     #[arg(long, value_name = "SECONDS")]
     duration: Option<f64>,
+    /// Replay no more than this many seconds of what --duration says
+    #[arg(long, value_name = "SECONDS")]
+    at_most: Option<f64>,
     /// Begin again when the path ends before the duration
     #[arg(long = "loop", requires = "duration")]
     looped: bool,
@@ -53,12 +68,16 @@ impl Default for PathArgs {
             camera_axes: None,
             quat_order: None,
             path_up: None,
+            path_crs: None,
+            icao24: None,
+            look: None,
             head: None,
             place: None,
             fov: 60.0,
             viewport: [1920, 1080],
             from: 0.0,
             duration: None,
+            at_most: None,
             looped: false,
         }
     }
@@ -85,6 +104,7 @@ impl PathArgs {
         }
         let left = length - self.from;
         let duration = self.duration.unwrap_or(left);
+        let duration = self.at_most.map_or(duration, |most| duration.min(most));
         if !(duration > 0.0 && duration <= 86_400.0) {
             bail!(
                 "a duration of {duration} s; expected more than 0 and at most 86400 seconds (choose with --from and --duration)"
@@ -103,6 +123,11 @@ fn viewport(text: &str) -> Result<[u32; 2], String> {
         Some((Some(w), Some(h))) => Ok([w, h]),
         _ => Err(format!("`{text}`; expected WIDTHxHEIGHT in pixels, such as 1920x1080")),
     }
+}
+
+fn epsg(text: &str) -> Result<u32, String> {
+    let code = text.get(..5).filter(|prefix| prefix.eq_ignore_ascii_case("EPSG:")).map_or(text, |_| &text[5..]);
+    code.parse().map_err(|_| format!("`{text}`; expected EPSG:CODE, such as EPSG:32632"))
 }
 
 /// A world with the name under which it was asked for.
@@ -128,9 +153,12 @@ pub(crate) fn open_path(name: Option<&str>, args: &PathArgs) -> anyhow::Result<C
 
 /// The path with the head that rides on it, if there is one.
 pub(crate) fn carry_head(path: CameraPath, args: &PathArgs) -> anyhow::Result<CameraPath> {
-    Ok(match args.head() {
-        None => path,
-        Some(spec) => Head::from_specification(spec)?.ride(&path)?,
+    Ok(match (args.head(), &args.look) {
+        (None, _) => path,
+        (Some(_), Some(Look::Target(_))) => {
+            bail!("--head and --look target: a camera that is aimed at a point of the world carries no head")
+        }
+        (Some(spec), _) => Head::from_specification(spec)?.ride(&path)?,
     })
 }
 
@@ -140,10 +168,23 @@ pub(crate) const MADE_PATHS: [&str; 3] = ["steady", "turn", "teleport"];
 /// A path without a head: the built-in flight, `steady` or `turn` with `:speed=M/S,duration=S`, `teleport` with
 /// `every=S`, `distance=M` and `seed=N` besides, or a file.
 pub(crate) fn open_vehicle(name: Option<&str>, args: &PathArgs) -> anyhow::Result<CameraPath> {
-    let Some(name) = name else { return Ok(path::built_in()) };
+    let made = |path: CameraPath| -> anyhow::Result<CameraPath> {
+        Ok(match &args.look {
+            Some(look) => look::apply(path, look)?,
+            None => path,
+        })
+    };
+    let Some(name) = name else { return made(path::built_in()) };
     let kind = name.split(':').next().unwrap_or_default();
     if !MADE_PATHS.contains(&kind) || Path::new(name).exists() {
-        let options = Options { camera_axes: args.camera_axes, quat_order: args.quat_order, up: args.path_up };
+        let options = Options {
+            camera_axes: args.camera_axes,
+            quat_order: args.quat_order,
+            up: args.path_up,
+            crs: args.path_crs,
+            icao24: args.icao24.clone(),
+            look: args.look.clone(),
+        };
         return Ok(path::parse::from_file(Path::new(name), &options)?);
     }
     let (mut speed, mut duration, mut every, mut distance, mut seed) = (5.0, 60.0, 10.0, 200.0, 1);
@@ -162,7 +203,7 @@ pub(crate) fn open_vehicle(name: Option<&str>, args: &PathArgs) -> anyhow::Resul
             _ => bail!(expected()),
         }
     }
-    Ok(match kind {
+    made(match kind {
         "steady" => path::turn::steady(speed, duration)?,
         "turn" => path::turn::turn(speed, duration)?,
         _ => path::teleport::teleport(speed, duration, every, distance, seed)?,
@@ -198,24 +239,24 @@ pub(crate) struct Placed {
     pub(crate) flight: Flight,
     /// How the path was put there.
     pub(crate) place: String,
+    /// What the path's notes say, those on its placement included.
+    pub(crate) notes: Vec<String>,
 }
 
 /// Puts the path into the world and samples it. `as_is` leaves it where it is unless a placement is given.
 pub(crate) fn place(path: &CameraPath, world: &World, as_is: bool, args: &PathArgs) -> anyhow::Result<Placed> {
     let fov_y = args.fov_y()?;
-    let placed;
-    let (path, place) = if as_is && args.place.is_none() {
-        (path, "as it is".to_owned())
+    let (mut placed, place) = if as_is && args.place.is_none() {
+        (path.clone(), "as it is".to_owned())
     } else {
-        let placement = args.place.unwrap_or_default();
-        let bounds = world.tree.bounds(world.tree.root());
-        let centre = bounds.centre();
-        let ground_height =
-            world.ground_height(centre).with_context(|| format!("world {}: no ground under its centre", world.name))?;
-        let site = Site { centre, up: world.up, ground_height };
-        placed = path::place::place(path, &placement, &site)?;
-        (&placed, placement.to_string())
+        let (placed, placement) = path::place::into_world(path, args.place, world)?;
+        (placed, placement.to_string())
     };
+    if let Some(Look::Target(target)) = args.look {
+        placed = look::aim(&placed, look::Aim::Point(target));
+        placed.add_note(format!("the camera is aimed: {}", Look::Target(target)));
+    }
+    let path = &placed;
     let duration = args.duration(path.duration())?;
     let looped;
     let source = if args.looped {
@@ -228,7 +269,7 @@ pub(crate) fn place(path: &CameraPath, world: &World, as_is: bool, args: &PathAr
         let (position, orientation) = source.at(args.from + t);
         View { position, orientation, fov_y, viewport: args.viewport }
     });
-    Ok(Placed { flight, place })
+    Ok(Placed { flight, place, notes: path.notes().to_vec() })
 }
 
 /// Notes of a world for the reader, the same kind of note folded after a few.

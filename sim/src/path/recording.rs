@@ -6,11 +6,12 @@
 //! {"t":0.016,"position":[1.1,2.0,3.0],"orientation":[0.0,0.0,0.0,1.0]}
 //! ```
 //!
-//! `t` is in seconds, on any clock, and increases. `position` is in metres, in a frame whose up is the header's, or in
-//! earth-centred, earth-fixed coordinates where `frame` is `earth`. `orientation` is x, y, z, w of the unit quaternion that
-//! turns a camera looking along −z with +y up into the frame. `fov_y` (vertical, radians) and `viewport` (pixels) may be
-//! left out: then those of the line before hold. Further fields are ignored. A line is written at once, so a recording that
-//! was cut off lacks the end of its last line at most.
+//! `t` is in seconds, on any clock, and increases. `position` is in metres, in a frame whose up is the header's; or, where
+//! `frame` is `earth`, in Earth-centred, Earth-fixed coordinates, whose heights are above what the header's `heights` says:
+//! `ellipsoid` (also if absent), `sea-level`, `pressure` or `ground`. `orientation` is x, y, z, w of the unit quaternion
+//! that turns a camera looking along −z with +y up into the frame. `fov_y` (vertical, radians) and `viewport` (pixels) may
+//! be left out: then those of the line before hold. Further fields are ignored. A line is written at once, so a recording
+//! that was cut off lacks the end of its last line at most.
 
 use std::io::Write;
 
@@ -21,7 +22,9 @@ use serde_json::value::RawValue;
 use crate::text_lines::{LINE_BYTES_MAX, TextLines};
 
 use super::parse::Options;
-use super::{COORDINATE_MAX, CameraPath, POSES_MAX, PathError, Pose, QUATERNION_TOLERANCE, SECONDS_MAX};
+use super::{
+    COORDINATE_MAX, CameraPath, Frame, Heights, POSES_MAX, PathError, Pose, QUATERNION_TOLERANCE, SECONDS_MAX,
+};
 
 /// What the header's `format` says.
 pub const FORMAT: &str = "foresight-recording";
@@ -32,14 +35,44 @@ pub const SCHEMA_VERSION: u32 = 1;
 /// A quaternion's length this far from 1 is rounding, and not reported.
 const LENGTH_ROUNDING: f64 = 1e-6;
 
-/// Which frame positions are in.
+/// The header's `frame`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Frame {
-    /// That of the world that was looked at, or of no particular one.
+enum FrameName {
     Local,
-    /// Earth-centred, earth-fixed.
     Earth,
+}
+
+/// The header's `heights`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum HeightsName {
+    Ellipsoid,
+    SeaLevel,
+    Pressure,
+    Ground,
+}
+
+impl From<Heights> for HeightsName {
+    fn from(heights: Heights) -> HeightsName {
+        match heights {
+            Heights::Ellipsoid => HeightsName::Ellipsoid,
+            Heights::SeaLevel => HeightsName::SeaLevel,
+            Heights::Pressure => HeightsName::Pressure,
+            Heights::Ground => HeightsName::Ground,
+        }
+    }
+}
+
+impl From<HeightsName> for Heights {
+    fn from(name: HeightsName) -> Heights {
+        match name {
+            HeightsName::Ellipsoid => Heights::Ellipsoid,
+            HeightsName::SeaLevel => Heights::SeaLevel,
+            HeightsName::Pressure => Heights::Pressure,
+            HeightsName::Ground => Heights::Ground,
+        }
+    }
 }
 
 /// A pose at a time, as it is recorded.
@@ -72,7 +105,12 @@ impl<W: Write> Writer<W> {
     /// # Errors
     /// What the output says; an up without direction.
     pub fn new(name: &str, out: W, frame: Frame, up: DVec3) -> Result<Writer<W>, PathError> {
-        let header = Header { format: FORMAT.to_owned(), schema_version: SCHEMA_VERSION, frame, up: up.to_array() };
+        let (frame, heights) = match frame {
+            Frame::Local => (FrameName::Local, None),
+            Frame::Earth(heights) => (FrameName::Earth, Some(heights.into())),
+        };
+        let (format, up_numbers) = (FORMAT.to_owned(), up.to_array());
+        let header = Header { format, schema_version: SCHEMA_VERSION, frame, heights, up: up_numbers };
         let mut writer = Writer { name: name.to_owned(), out };
         if up.try_normalize().is_none() {
             let message = format!("up {up}; expected a direction");
@@ -120,7 +158,9 @@ impl<W: Write> Writer<W> {
 struct Header {
     format: String,
     schema_version: u32,
-    frame: Frame,
+    frame: FrameName,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    heights: Option<HeightsName>,
     up: [f64; 3],
 }
 
@@ -202,7 +242,11 @@ pub fn from_bytes(name: &str, bytes: &[u8]) -> Result<Recording, PathError> {
     let up = DVec3::from(header.up)
         .try_normalize()
         .ok_or_else(|| wrong(number, format!("up {:?}; expected a direction", header.up)))?;
-    let mut recording = Recording { frame: header.frame, up, samples: Vec::new(), notes: Vec::new() };
+    let frame = match header.frame {
+        FrameName::Local => Frame::Local,
+        FrameName::Earth => Frame::Earth(header.heights.map_or(Heights::Ellipsoid, Heights::from)),
+    };
+    let mut recording = Recording { frame, up, samples: Vec::new(), notes: Vec::new() };
     let (mut dropped, mut renormalised) = (0usize, 0usize);
     let ends_whole = bytes.ends_with(b"\n");
     let mut start = None;
@@ -298,12 +342,12 @@ pub fn path_from_bytes(name: &str, bytes: &[u8], options: &Options) -> Result<Ca
         position: sample.position.into(),
         orientation: DQuat::from_array(sample.orientation),
     });
-    let mut path = CameraPath::new(name, poses.collect(), recording.up)?;
+    let mut path = match recording.frame {
+        Frame::Local => CameraPath::new(name, poses.collect(), recording.up)?,
+        Frame::Earth(heights) => CameraPath::on_earth(name, poses.collect(), heights)?,
+    };
     for note in recording.notes {
         path.add_note(note);
-    }
-    if recording.frame == Frame::Earth {
-        path.add_note("positions are earth-centred, earth-fixed");
     }
     if options.camera_axes.is_some() || options.quat_order.is_some() || options.up.is_some() {
         path.add_note("a recording states its axes, its up and the order of its quaternions: those given are not used");
