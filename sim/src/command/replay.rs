@@ -275,6 +275,11 @@ pub(crate) fn execute(args: &ReplayArgs, progress: &(dyn Fn(usize, usize) + Sync
         ..Inputs::default()
     };
     let mut comparison = compare(&plan, inputs, progress)?;
+    if link.loss() > 0.0 {
+        let failures = comparison.policies.iter().map(|p| format!("{} {:.1}", p.name, p.failures));
+        let failures = failures.collect::<Vec<_>>().join(", ");
+        comparison.warnings.push(format!("{} % of the requests fail; failures: {failures}", link.loss() * 100.0));
+    }
     comparison.warnings.extend(inputs::world_notes(&world, 5));
     comparison.warnings.extend(placed.notes.iter().map(|n| format!("path: {n}")));
     comparison.warnings.extend(link.notes().iter().map(|n| format!("link: {n}")));
