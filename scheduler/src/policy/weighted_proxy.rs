@@ -26,9 +26,9 @@
 //! - The number of streams at a time has no limit; requests in flight: 4.
 //! - The safe margin of 10 % of the bandwidth is the proxy's, not the client's: it is not held back.
 //! - The thesis drops nothing. Here the least recently used goes when room is needed. Used is what is in view or within
-//!   the area of interest, as far as memory holds it: lowest levels in view first, then the nearest, nothing before
-//!   the level above it, lowest levels out of view last; only that is requested. When room is still missing, requests
-//!   wait for what is on its way, and when nothing is, what does not fit is passed over.
+//!   the area of interest, as far as memory holds it: level after level, nearest first in each, lowest levels out of
+//!   view last; only that is requested. When room is still missing, requests wait for what is on its way, and when
+//!   nothing is, what does not fit is passed over.
 //! - Where children replace their parent together, siblings out of view are streams like those in view.
 //! - A failed request is made again.
 
@@ -96,8 +96,6 @@ struct Looked {
     missing: bool,
     /// Metres, to the centre of the box.
     distance: f64,
-    /// Not less than that of what is above it.
-    reach: f64,
     tile: u32,
 }
 
@@ -154,8 +152,6 @@ pub struct WeightedProxy {
     tiles: Vec<Tile>,
     contents: Vec<RepId>,
     looked_at: Vec<Looked>,
-    /// Per tile looked at, the greatest distance from the root down to it.
-    reach: Vec<f64>,
     streams: Vec<Stream>,
     /// Shares of the high and of the normal branch.
     shares: [Shares; 2],
@@ -173,7 +169,6 @@ impl WeightedProxy {
             settings,
             contents,
             looked_at: Vec::new(),
-            reach: vec![0.0; tiles.len()],
             streams: Vec::new(),
             shares: [shares.clone(), shares],
             high_in_flight: Vec::new(),
@@ -208,8 +203,6 @@ impl WeightedProxy {
                 next = tile.subtree_end;
                 continue;
             }
-            let above = self.reach.get(tile.parent as usize).copied().unwrap_or(0.0);
-            self.reach[id as usize] = above;
             if tile.is_empty() {
                 next = id + 1;
                 continue;
@@ -222,10 +215,7 @@ impl WeightedProxy {
             let own = self.own(&tile);
             let missing = own.iter().any(|&r| state.status(r) == Status::Absent);
             bytes += own.iter().map(|&r| tree.decoded_bytes(r)).sum::<u64>();
-            let centre = to_centre.length();
-            let reach = above.max(centre);
-            self.reach[id as usize] = reach;
-            self.looked_at.push(Looked { branch, missing, distance: centre, reach, tile: id });
+            self.looked_at.push(Looked { branch, missing, distance: to_centre.length(), tile: id });
             let refine = !missing && in_view && tile.error * frustum.pixels_per_radian > target * distance;
             next = if refine { id + 1 } else { tile.subtree_end };
         }
@@ -235,9 +225,10 @@ impl WeightedProxy {
     }
 
     fn keep_what_fits(&mut self, state: &ClientState) {
+        let depth = |looked: &Looked| self.tiles[looked.tile as usize].depth;
         self.looked_at.sort_unstable_by(|a, b| {
-            let by_reach = a.reach.total_cmp(&b.reach);
-            a.branch.cmp(&b.branch).then(by_reach).then(a.tile.cmp(&b.tile))
+            let by_level = a.branch.cmp(&b.branch).then(depth(a).cmp(&depth(b)));
+            by_level.then(a.distance.total_cmp(&b.distance)).then(a.tile.cmp(&b.tile))
         });
         let mut bytes = 0;
         let fitting = self.looked_at.iter().take_while(|looked| {
