@@ -12,8 +12,9 @@
 //!   when the one above it is there or on its way. Directions of an orthoview are one level.
 //! - The thesis chooses levels by Pareto fronts and image metrics measured beforehand (§4.5, §5.1). Here an object is
 //!   refined until geometric error · pixels per radian / distance ≤ target.
-//! - "Higher priority to objects nearby" has no formula: weight = 1 / d, d the distance to the centre of the node's
-//!   box, rounded to powers of two.
+//! - "Higher priority to objects nearby" has no formula: weight = 1 / d, d the distance to the node's box, not less than
+//!   the radius of the smallest box in the world, rounded to powers of two. So a level shared by many objects weighs
+//!   as the nearest of them does.
 //! - A proxy can split the link at will, a client can only choose what to request. Shares are approximated in whole
 //!   requests by deficit round robin over the powers of two of the distance: each ring of distance is credited bytes in
 //!   proportion to its weight times the number of its streams, and the one whose next request is paid for first gets
@@ -94,7 +95,7 @@ enum Branch {
 struct Looked {
     branch: Branch,
     missing: bool,
-    /// Metres, to the centre of the box.
+    /// Metres.
     distance: f64,
     tile: u32,
 }
@@ -151,6 +152,8 @@ pub struct WeightedProxy {
     settings: WeightedProxySettings,
     tiles: Vec<Tile>,
     contents: Vec<RepId>,
+    /// Radius of the smallest box that is not a point, metres.
+    smallest: f64,
     looked_at: Vec<Looked>,
     streams: Vec<Stream>,
     /// Shares of the high and of the normal branch.
@@ -164,10 +167,13 @@ impl WeightedProxy {
     /// A client of `tree`.
     pub fn new(tree: &LodTree, settings: WeightedProxySettings) -> WeightedProxy {
         let (tiles, contents, _) = tiles_of(tree);
+        let radii = tiles.iter().map(|tile| tree.half(tile.node).length()).filter(|&r| r > 0.0);
+        let smallest = radii.fold(f64::INFINITY, f64::min);
         let shares = Shares { credit: [0.0; RINGS] };
         WeightedProxy {
             settings,
             contents,
+            smallest: if smallest.is_finite() { smallest } else { 0.0 },
             looked_at: Vec::new(),
             streams: Vec::new(),
             shares: [shares.clone(), shares],
@@ -215,7 +221,7 @@ impl WeightedProxy {
             let own = self.own(&tile);
             let missing = own.iter().any(|&r| state.status(r) == Status::Absent);
             bytes += own.iter().map(|&r| tree.decoded_bytes(r)).sum::<u64>();
-            self.looked_at.push(Looked { branch, missing, distance: to_centre.length(), tile: id });
+            self.looked_at.push(Looked { branch, missing, distance: distance.max(self.smallest), tile: id });
             let refine = !missing && in_view && tile.error * frustum.pixels_per_radian > target * distance;
             next = if refine { id + 1 } else { tile.subtree_end };
         }
