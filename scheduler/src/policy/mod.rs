@@ -2,6 +2,7 @@
 
 pub mod added_benefit;
 pub mod foresight;
+mod tileset;
 
 /// Declares the module of each rival and lists its [`Rival`].
 macro_rules! rivals {
@@ -15,6 +16,9 @@ macro_rules! rivals {
 rivals! {
     lookahead
     tiles_renderer
+    cesium
+    cesium_native
+    loaders_gl
 }
 
 use crate::lod_tree::{LodTree, RepId};
