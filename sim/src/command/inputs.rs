@@ -6,7 +6,7 @@ use foresight_index::world::{self, World};
 use foresight_scheduler::view::View;
 use foresight_sim::flight::Flight;
 use foresight_sim::link::{self, LinkTrace};
-use foresight_sim::path::{self, Axis, CameraAxes, CameraPath, Placement, QuatOrder, parse::Options, place::Site};
+use foresight_sim::path::{self, Axis, CameraAxes, CameraPath, Look, Placement, QuatOrder, look, parse::Options};
 use std::path::Path;
 
 /// How a path is read and put into the world; shared by `replay` and `inspect`.
@@ -21,8 +21,20 @@ pub(crate) struct PathArgs {
     /// Up of the frame that the recording's positions are in, such as +z
     #[arg(long, value_name = "AXIS", allow_hyphen_values = true)]
     path_up: Option<Axis>,
-    /// Where the path goes: geo, or centre,height=2,yaw=0,scale=1 (its middle that many metres above the ground under
-    /// the world's centre, turned by degrees, scaled). The built-in path stands in the built-in world as it is
+    /// The projected system that the recording's positions are in, such as EPSG:32632: puts the path on the Earth
+    #[arg(long, value_name = "EPSG:CODE", value_parser = epsg)]
+    path_crs: Option<u32>,
+    /// The aircraft to take from ADS-B JSON, by its ICAO 24-bit address; the one with most positions if not given
+    #[arg(long, value_name = "ADDRESS")]
+    icao24: Option<String>,
+    /// Where the camera looks: motion, down, target=X,Y,Z (metres in the world), geo=LATITUDE,LONGITUDE,HEIGHT, or
+    /// other=ICAO24 (another aircraft of the same file); as recorded, else along the motion, if not given
+    #[arg(long, value_name = "WHERE")]
+    look: Option<Look>,
+    /// Where the path goes: geo (by coordinates; geo,height=M lifts it until its lowest pose is that high above the
+    /// ground), or centre,height=2,yaw=0,scale=1 (its middle that many metres above the ground under the world's centre,
+    /// turned by degrees, scaled). If not given: geo where both have coordinates and meet, else centre; the built-in
+    /// path stands in the built-in world as it is
     #[arg(long, value_name = "PLACE")]
     place: Option<Placement>,
     /// Vertical field of view, degrees
@@ -37,6 +49,9 @@ pub(crate) struct PathArgs {
     /// Replay this many seconds; to the end of the path if not given
     #[arg(long, value_name = "SECONDS")]
     duration: Option<f64>,
+    /// Replay no more than this many seconds of what --duration says
+    #[arg(long, value_name = "SECONDS")]
+    at_most: Option<f64>,
     /// Begin again when the path ends before the duration
     #[arg(long = "loop", requires = "duration")]
     looped: bool,
@@ -48,11 +63,15 @@ impl Default for PathArgs {
             camera_axes: None,
             quat_order: None,
             path_up: None,
+            path_crs: None,
+            icao24: None,
+            look: None,
             place: None,
             fov: 60.0,
             viewport: [1920, 1080],
             from: 0.0,
             duration: None,
+            at_most: None,
             looped: false,
         }
     }
@@ -64,6 +83,11 @@ fn viewport(text: &str) -> Result<[u32; 2], String> {
         Some((Some(w), Some(h))) => Ok([w, h]),
         _ => Err(format!("`{text}`; expected WIDTHxHEIGHT in pixels, such as 1920x1080")),
     }
+}
+
+fn epsg(text: &str) -> Result<u32, String> {
+    let code = text.get(..5).filter(|prefix| prefix.eq_ignore_ascii_case("EPSG:")).map_or(text, |_| &text[5..]);
+    code.parse().map_err(|_| format!("`{text}`; expected EPSG:CODE, such as EPSG:32632"))
 }
 
 /// A world with the name under which it was asked for.
@@ -84,10 +108,23 @@ pub(crate) fn open_link(spec: Option<&str>) -> anyhow::Result<LinkTrace> {
 
 /// The built-in flight, `steady` or `turn` with `:speed=M/S,duration=S`, or a file.
 pub(crate) fn open_path(name: Option<&str>, args: &PathArgs) -> anyhow::Result<CameraPath> {
-    let Some(name) = name else { return Ok(path::built_in()) };
+    let made = |path: CameraPath| -> anyhow::Result<CameraPath> {
+        Ok(match &args.look {
+            Some(look) => look::apply(path, look)?,
+            None => path,
+        })
+    };
+    let Some(name) = name else { return made(path::built_in()) };
     let kind = name.split(':').next().unwrap_or_default();
     if !matches!(kind, "steady" | "turn") || Path::new(name).exists() {
-        let options = Options { camera_axes: args.camera_axes, quat_order: args.quat_order, up: args.path_up };
+        let options = Options {
+            camera_axes: args.camera_axes,
+            quat_order: args.quat_order,
+            up: args.path_up,
+            crs: args.path_crs,
+            icao24: args.icao24.clone(),
+            look: args.look.clone(),
+        };
         return Ok(path::parse::from_file(Path::new(name), &options)?);
     }
     let (mut speed, mut duration) = (5.0, 60.0);
@@ -101,7 +138,7 @@ pub(crate) fn open_path(name: Option<&str>, args: &PathArgs) -> anyhow::Result<C
             _ => bail!(expected()),
         }
     }
-    Ok(if kind == "steady" { path::turn::steady(speed, duration)? } else { path::turn::turn(speed, duration)? })
+    made(if kind == "steady" { path::turn::steady(speed, duration)? } else { path::turn::turn(speed, duration)? })
 }
 
 /// A path in its world, sampled.
@@ -110,6 +147,8 @@ pub(crate) struct Placed {
     pub(crate) flight: Flight,
     /// How the path was put there.
     pub(crate) place: String,
+    /// What the path's notes say, those on its placement included.
+    pub(crate) notes: Vec<String>,
 }
 
 /// Puts the path into the world and samples it. `as_is` leaves it where it is unless a placement is given.
@@ -117,25 +156,24 @@ pub(crate) fn place(path: &CameraPath, world: &World, as_is: bool, args: &PathAr
     if !(args.fov > 0.0 && args.fov < 180.0) {
         bail!("--fov {}; expected degrees between 0 and 180", args.fov);
     }
-    let placed;
-    let (path, place) = if as_is && args.place.is_none() {
-        (path, "as it is".to_owned())
+    let (mut placed, place) = if as_is && args.place.is_none() {
+        (path.clone(), "as it is".to_owned())
     } else {
-        let placement = args.place.unwrap_or_default();
-        let bounds = world.tree.bounds(world.tree.root());
-        let centre = bounds.centre();
-        let ground_height =
-            world.ground_height(centre).with_context(|| format!("world {}: no ground under its centre", world.name))?;
-        let site = Site { centre, up: world.up, ground_height };
-        placed = path::place::place(path, &placement, &site)?;
-        (&placed, placement.to_string())
+        let (placed, placement) = path::place::into_world(path, args.place, world)?;
+        (placed, placement.to_string())
     };
+    if let Some(Look::Target(target)) = args.look {
+        placed = look::aim(&placed, look::Aim::Point(target));
+        placed.add_note(format!("the camera is aimed: {}", Look::Target(target)));
+    }
+    let path = &placed;
     let length = path.duration();
     if !(args.from >= 0.0 && args.from < length) {
         bail!("--from {}; expected seconds from 0 to less than the path's {length:.3}", args.from);
     }
     let left = length - args.from;
     let duration = args.duration.unwrap_or(left);
+    let duration = args.at_most.map_or(duration, |most| duration.min(most));
     if !(duration > 0.0 && duration <= 86_400.0) {
         bail!(
             "a duration of {duration} s; expected more than 0 and at most 86400 seconds (choose with --from and --duration)"
@@ -155,7 +193,7 @@ pub(crate) fn place(path: &CameraPath, world: &World, as_is: bool, args: &PathAr
         let (position, orientation) = source.at(args.from + t);
         View { position, orientation, fov_y: args.fov.to_radians(), viewport: args.viewport }
     });
-    Ok(Placed { flight, place })
+    Ok(Placed { flight, place, notes: path.notes().to_vec() })
 }
 
 /// Notes of a world for the reader, the same kind of note folded after a few.

@@ -2,6 +2,10 @@
 
 mod axes;
 mod built_in;
+mod facts;
+mod frame;
+mod import;
+pub mod look;
 pub mod parse;
 pub mod place;
 pub mod turn;
@@ -11,10 +15,13 @@ mod parse_tests;
 #[cfg(test)]
 mod path_tests;
 
-use glam::{DQuat, DVec3};
+use glam::{DMat3, DQuat, DVec3};
 
 pub use axes::{Axis, CameraAxes, QuatOrder};
 pub use built_in::built_in;
+pub use facts::PathFacts;
+pub use frame::{Frame, Heights};
+pub use look::Look;
 pub use place::Placement;
 
 /// Farthest coordinate accepted, metres.
@@ -47,8 +54,9 @@ pub enum PathError {
     },
     /// The content is of no path format that is read here.
     #[error(
-        "{name}, line {line}: `{found}` is not a supported path format; expected TUM lines (`t x y z qx qy qz qw`) or an \
-         EyeNavGS table (a header with ViewIndex, PositionX, …)"
+        "{name}, line {line}: `{found}` is not a supported path format; expected TUM lines (`t x y z qx qy qz qw`), an \
+         EyeNavGS table (a header with ViewIndex, PositionX, …), GPX, IGC, KML, ADS-B JSON (a list of records), a folder \
+         of comma2k19 or a G-NetTrack table (a header with Timestamp, Longitude, Latitude, …)"
     )]
     Unsupported {
         /// The file.
@@ -65,6 +73,16 @@ pub enum PathError {
         name: String,
         /// Line, counted from 1.
         line: usize,
+        /// What was found and what was expected.
+        message: String,
+    },
+    /// A place of a recognised format that is no line is wrong.
+    #[error("{name}, {place}: {message}")]
+    Place {
+        /// The file.
+        name: String,
+        /// A JSON path, a byte offset or an element.
+        place: String,
         /// What was found and what was expected.
         message: String,
     },
@@ -108,8 +126,12 @@ pub struct Pose {
 pub struct CameraPath {
     name: String,
     poses: Vec<Pose>,
+    frame: Frame,
+    /// Unit length; on the Earth that at the first pose.
     up: DVec3,
     notes: Vec<String>,
+    /// The middle one of the steps between poses, seconds.
+    median_step: f64,
     /// A longer step is a gap, seconds.
     gap: f64,
     looped: bool,
@@ -125,10 +147,29 @@ impl CameraPath {
     pub fn new(name: &str, poses: Vec<Pose>, up: DVec3) -> Result<CameraPath, PathError> {
         let whole = |message: String| PathError::Whole { name: name.to_owned(), message };
         let up = up.try_normalize().ok_or_else(|| whole(format!("up {up}; expected a direction")))?;
-        let mut path =
-            CameraPath { name: name.to_owned(), poses, up, notes: Vec::new(), gap: f64::INFINITY, looped: false };
+        let mut path = CameraPath {
+            name: name.to_owned(),
+            poses,
+            frame: Frame::Local,
+            up,
+            notes: Vec::new(),
+            median_step: 0.0,
+            gap: f64::INFINITY,
+            looped: false,
+        };
         path.check()?;
         path.find_gaps();
+        Ok(path)
+    }
+
+    /// A path of poses in Earth-centred coordinates, whose heights are above this.
+    ///
+    /// # Errors
+    /// As [`CameraPath::new`].
+    pub fn on_earth(name: &str, poses: Vec<Pose>, heights: Heights) -> Result<CameraPath, PathError> {
+        let up = poses.first().map_or(DVec3::Z, |pose| frame::earth_axes(pose.position).z_axis);
+        let mut path = CameraPath::new(name, poses, up)?;
+        path.frame = Frame::Earth(heights);
         Ok(path)
     }
 
@@ -170,6 +211,7 @@ impl CameraPath {
         let mut steps: Vec<f64> = self.poses.windows(2).map(|pair| pair[1].time - pair[0].time).collect();
         let middle = steps.len() / 2;
         let median = *steps.select_nth_unstable_by(middle, f64::total_cmp).1;
+        self.median_step = median;
         self.gap = (GAP_STEPS * median).min(GAP_SECONDS.max(2.0 * median));
         let gaps = steps.iter().filter(|&&step| step > self.gap).count();
         if gaps > 0 {
@@ -191,9 +233,35 @@ impl CameraPath {
         &self.poses
     }
 
-    /// Unit vector that is up in the path's frame.
+    /// The frame of its positions and orientations.
+    pub fn frame(&self) -> Frame {
+        self.frame
+    }
+
+    /// Unit vector that is up in the path's frame; on the Earth, where up differs from place to place, at its first pose.
     pub fn up(&self) -> DVec3 {
         self.up
+    }
+
+    /// Two level axes and up at a position, as columns; on the Earth east, north and up.
+    pub fn level_axes(&self, position: DVec3) -> DMat3 {
+        match self.frame {
+            Frame::Earth(_) => frame::earth_axes(position),
+            Frame::Local => {
+                let (right, ahead) = frame::across(self.up);
+                DMat3::from_cols(right, ahead, self.up)
+            }
+        }
+    }
+
+    /// The middle one of the steps between poses, seconds.
+    pub fn median_step(&self) -> f64 {
+        self.median_step
+    }
+
+    /// A longer step between two poses is a gap, seconds.
+    pub fn gap(&self) -> f64 {
+        self.gap
     }
 
     /// What was repaired, assumed or done.
@@ -252,10 +320,11 @@ impl CameraPath {
         path
     }
 
-    /// BLAKE3 of the poses, up, and whether it is looped; not of the name.
+    /// BLAKE3 of the poses, up, whether it is on the Earth, and whether it is looped; not of the name.
     pub fn hash(&self) -> blake3::Hash {
         let mut hasher = blake3::Hasher::new();
-        hasher.update(&[u8::from(self.looped)]);
+        let earth = if self.frame == Frame::Local { 0 } else { 2 };
+        hasher.update(&[earth + u8::from(self.looped)]);
         let mut put = |values: &[f64]| {
             for value in values {
                 hasher.update(&value.to_bits().to_le_bytes());
