@@ -134,7 +134,7 @@ impl CesiumNative {
             for load in loads.iter().filter(|l| l.is_preload() == preloads) {
                 tileset.enqueue(state, load.tile, load.priority, queue);
             }
-            if blocked.is_none() {
+            if blocked.is_none() || tileset.pending().is_empty() {
                 blocked = if preloads {
                     tileset.request(state, queue, &mut slots, unused)
                 } else {
