@@ -43,6 +43,8 @@ pub enum WorldKind {
     Mosaic,
     /// A generated city.
     City,
+    /// A city model in CityJSON or CityJSONSeq.
+    CityJson,
 }
 
 impl fmt::Display for WorldKind {
@@ -51,6 +53,7 @@ impl fmt::Display for WorldKind {
             WorldKind::Tiles3d => "3D Tiles",
             WorldKind::Mosaic => "mosaic of 3D Tiles",
             WorldKind::City => "generated city",
+            WorldKind::CityJson => "CityJSON",
         })
     }
 }
@@ -162,11 +165,16 @@ pub enum WorldError {
     #[cfg(feature = "city")]
     #[error(transparent)]
     City(#[from] crate::generate::city::CityError),
+    /// It is a city model with a fault.
+    #[cfg(feature = "cityjson")]
+    #[error(transparent)]
+    CityJson(#[from] crate::import::cityjson::CityJsonError),
 }
 
-const EXPECTED: &str = "a 3D Tiles tileset.json, a generated city.json, or a folder with one of them";
+const EXPECTED: &str = "a 3D Tiles tileset.json, a generated city.json, a folder with one of them, or a CityJSON file";
 
-/// Opens a world, recognised by content: a folder with a `tileset.json` or a generated `city.json`, or such a file.
+/// Opens a world, recognised by content: a folder with a `tileset.json` or a generated `city.json`, such a file, or a
+/// city model in CityJSON or CityJSONSeq.
 pub fn open(path: &Path) -> Result<World, WorldError> {
     let metadata = std::fs::metadata(path).map_err(|source| WorldError::Io { file: path.to_owned(), source })?;
     let file = if metadata.is_dir() {
@@ -184,6 +192,7 @@ pub fn open(path: &Path) -> Result<World, WorldError> {
     File::open(&file).map_err(io)?.take(HEAD_BYTES).read_to_end(&mut head).map_err(io)?;
     match recognise(&head) {
         Content::City => open_city(&file),
+        Content::CityJson => open_city_model(&file),
         Content::Json => open_tileset(&file),
         Content::Other(found) => Err(WorldError::Unrecognised { file, found }),
     }
@@ -216,11 +225,22 @@ fn open_city(file: &Path) -> Result<World, WorldError> {
     Err(WorldError::NotBuilt { file: file.to_owned(), kind: "generated cities" })
 }
 
+#[cfg(feature = "cityjson")]
+fn open_city_model(file: &Path) -> Result<World, WorldError> {
+    Ok(crate::import::cityjson::open(file)?)
+}
+
+#[cfg(not(feature = "cityjson"))]
+fn open_city_model(file: &Path) -> Result<World, WorldError> {
+    Err(WorldError::NotBuilt { file: file.to_owned(), kind: "CityJSON" })
+}
+
 /// How much of a file is looked at to recognise it.
-const HEAD_BYTES: u64 = 512;
+const HEAD_BYTES: u64 = 1 << 16;
 
 enum Content {
     City,
+    CityJson,
     Json,
     Other(String),
 }
@@ -235,11 +255,17 @@ fn recognise(head: &[u8]) -> Content {
     } else if head[0] != b'{' {
         let start = String::from_utf8_lossy(&head[..head.len().min(24)]);
         Content::Other(format!("it begins with {:?}", start.trim_end_matches(char::REPLACEMENT_CHARACTER)))
-    } else if head.windows(14).any(|part| part == b"foresight-city") {
+    } else if contains(head, b"foresight-city") {
         Content::City
+    } else if ["\"CityJSON", "\"CityObjects\""].iter().any(|name| contains(head, name.as_bytes())) {
+        Content::CityJson
     } else {
         Content::Json
     }
+}
+
+fn contains(text: &[u8], part: &[u8]) -> bool {
+    text.windows(part.len()).any(|window| window == part)
 }
 
 impl World {

@@ -1,6 +1,7 @@
 //! Policies: what to fetch next, each in a file under its published name.
 
 pub mod added_benefit;
+mod downloads;
 pub mod foresight;
 mod tileset;
 
@@ -19,6 +20,10 @@ rivals! {
     cesium
     cesium_native
     loaders_gl
+    potree
+    playcanvas
+    two_phase
+    weighted_proxy
 }
 
 use crate::lod_tree::{LodTree, RepId};

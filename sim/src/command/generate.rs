@@ -1,13 +1,18 @@
-//! `generate`: worlds of any size.
+//! `generate`: worlds of any size, and recordings of paths.
 
+use super::inputs::{self, PathArgs};
+use anyhow::Context;
 use clap::{Args, Subcommand};
 use foresight_index::generate::{city, mosaic};
-use std::io::{IsTerminal, Write};
+use foresight_sim::path::recording::Writer;
+use std::ffi::OsString;
+use std::io::{BufWriter, IsTerminal, Write};
 use std::path::PathBuf;
 
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  foresight-sim generate mosaic --from mars/ --grid 16 --out mars16\n  \
-                        foresight-sim generate city --blocks 40 --seed 7 --out city40")]
+                        foresight-sim generate city --blocks 40 --seed 7 --out city40\n  \
+                        foresight-sim generate path --path teleport:every=5 --out jumps.jsonl")]
 pub(crate) struct GenerateArgs {
     #[command(subcommand)]
     what: What,
@@ -39,6 +44,20 @@ enum What {
         #[arg(long, value_name = "DIR")]
         out: PathBuf,
     },
+    /// Any path as a recording of our own, placed by no world.
+    Path(Box<PathToRecord>),
+}
+
+#[derive(Debug, Args)]
+struct PathToRecord {
+    /// A recording, or steady, turn, teleport with their options; the built-in flight if not given
+    #[arg(long, value_name = "PATH")]
+    path: Option<String>,
+    #[command(flatten)]
+    path_args: PathArgs,
+    /// File to write, JSON lines; replaced if it exists
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
 }
 
 pub(crate) fn run(args: GenerateArgs) -> anyhow::Result<()> {
@@ -78,6 +97,31 @@ pub(crate) fn run(args: GenerateArgs) -> anyhow::Result<()> {
                 world.tree.nodes()
             )?;
         }
+        What::Path(args) => record(&args)?,
+    }
+    Ok(())
+}
+
+fn record(args: &PathToRecord) -> anyhow::Result<()> {
+    let path = inputs::open_path(args.path.as_deref(), &args.path_args)?;
+    let samples = inputs::samples(&path, &args.path_args)?;
+    // Beside it first: a recording is there whole or not at all.
+    let mut beside = OsString::from(&args.out);
+    beside.push(".partial");
+    let beside = PathBuf::from(beside);
+    let name = beside.display().to_string();
+    let file = std::fs::File::create(&beside).with_context(|| name.clone())?;
+    let mut writer = Writer::new(&name, BufWriter::new(file), path.frame(), path.up())?;
+    for sample in &samples {
+        writer.push(sample)?;
+    }
+    writer.finish()?;
+    std::fs::rename(&beside, &args.out).with_context(|| args.out.display().to_string())?;
+    let mut out = std::io::stdout();
+    let duration = samples.last().map_or(0.0, |last| last.t);
+    writeln!(out, "{}: {} poses over {duration:.2} s", args.out.display(), samples.len())?;
+    for note in path.notes() {
+        writeln!(out, "  {note}")?;
     }
     Ok(())
 }

@@ -82,3 +82,15 @@ pub(in crate::policy) fn tiles_of(tree: &LodTree) -> (Vec<Tile>, Vec<RepId>, Vec
     }
     (tiles, contents, tile_of)
 }
+
+/// Per tile, whether all that lies beneath it is beneath a descendant for which `shows` holds.
+pub(in crate::policy) fn shown_beneath(tiles: &[Tile], shows: impl Fn(&Tile) -> bool) -> Vec<bool> {
+    let mut shown: Vec<bool> = (0u32..).zip(tiles).map(|(id, tile)| tile.subtree_end > id + 1).collect();
+    for id in (0..tiles.len()).rev() {
+        let parent = tiles[id].parent as usize;
+        if parent < id && !shown[id] && !shows(&tiles[id]) {
+            shown[parent] = false;
+        }
+    }
+    shown
+}

@@ -34,7 +34,7 @@ enum Input {
 
 /// Tries the three kinds; if none fits, says why each does not. A table of positions and bitrates is a path and a link.
 fn recognise(file: &str, args: &PathArgs) -> anyhow::Result<Vec<Input>> {
-    let generated = ["constant:", "steady", "turn"].iter().any(|p| file.starts_with(p));
+    let generated = file.starts_with("constant:") || inputs::MADE_PATHS.iter().any(|made| file.starts_with(made));
     if !generated && !Path::new(file.split(',').next().unwrap_or(file)).exists() {
         bail!("{file}: no such file or directory; expected a world, a path or a link");
     }
@@ -42,7 +42,7 @@ fn recognise(file: &str, args: &PathArgs) -> anyhow::Result<Vec<Input>> {
     if (path.is_dir() || path.extension().is_some_and(|e| e == "json")) && !is_path_like(path) {
         return Ok(vec![Input::World(Box::new(foresight_index::world::open(path)?))]);
     }
-    let as_path = inputs::open_path(Some(file), args);
+    let as_path = inputs::open_vehicle(Some(file), args);
     let as_link = || foresight_sim::link::parse::from_specification(file);
     match as_path {
         Ok(path) => {
@@ -71,7 +71,7 @@ pub(crate) fn run(args: &InspectArgs) -> anyhow::Result<()> {
                 }
                 Input::Path(path) => {
                     path::describe(&mut out, file, &path)?;
-                    paths.push(path);
+                    paths.push(inputs::carry_head(path, &args.path_args)?);
                 }
                 Input::Link(link) => {
                     link::describe(&mut out, file, &link)?;
