@@ -28,7 +28,7 @@ const BUILT_IN_STARTS: u32 = 4;
     foresight-sim replay --policy foresight,foresight:alpha=1:predictor=true-path,clairvoyant\n  foresight-sim replay --error-target best --link constant:5Mbit,40ms\n\n\
     A policy takes options after colons:\n  foresight, added-benefit, clairvoyant: alpha, predictor (constant-velocity, constant-turn, kalman, mixture, known-path,\n    \
     true-path), discards (planned, lru), arrival (on, off), cover (on, off), horizon, reuse, hysteresis, attenuation, samples,\n    \
-    opening, falloff, tolerance, slack, turn-rate and speed (declared, rad/s and m/s), request-cost\n  lookahead, 3d-tiles-renderer: target (pixels), parallel"
+    opening, falloff, tolerance, slack, turn-rate and speed (declared, rad/s and m/s), request-cost\n  the rivals: target (pixels, where it has one), parallel"
 )]
 pub(crate) struct ReplayArgs {
     /// A world directory, tileset.json, elevation grid (.npz, GeoTIFF), or a generated world by its parameters:
@@ -54,8 +54,8 @@ pub(crate) struct ReplayArgs {
     /// Trust in the prediction, 0 to 1
     #[arg(long, default_value_t = 0.7, value_parser = trust, allow_hyphen_values = true)]
     alpha: f64,
-    /// Pixels of error that lookahead and 3d-tiles-renderer aim at (they ship with 16); best adds each at its best of
-    /// 1, 2, 4, 8 and 16 px in hindsight
+    /// Pixels of error that the rivals aim at, instead of what each ships with; best adds each at its best of 1, 2, 4, 8
+    /// and 16 px in hindsight
     #[arg(long, value_name = "PX|best")]
     error_target: Option<String>,
     /// When children count: partial (drawn beside their parent) or atomic (all or none)
@@ -217,14 +217,13 @@ pub(crate) fn execute(args: &ReplayArgs, progress: &(dyn Fn(usize, usize) + Sync
         );
     }
     let (target, hindsight) = match args.error_target.as_deref() {
-        None => (16.0, Vec::new()),
-        Some("best") => (16.0, HINDSIGHT_TARGETS_PX.to_vec()),
+        None => (None, Vec::new()),
+        Some("best") => (None, HINDSIGHT_TARGETS_PX.to_vec()),
         Some(px) => {
             let target = px.parse::<f64>().ok().filter(|t| *t >= 0.01 && *t <= 1e4);
-            (
-                target.with_context(|| format!("--error-target {px}; expected pixels from 0.01 to 10000, or best"))?,
-                Vec::new(),
-            )
+            let target =
+                target.with_context(|| format!("--error-target {px}; expected pixels from 0.01 to 10000, or best"))?;
+            (Some(target), Vec::new())
         }
     };
     let policies = PolicySpec::parse_list(&args.policy, args.alpha, target)?;
