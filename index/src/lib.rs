@@ -8,5 +8,7 @@ pub mod ground;
 pub mod import;
 #[cfg(feature = "tiles3d")]
 pub mod manifest;
+#[cfg(feature = "runs")]
+pub mod runs;
 pub mod uris;
 pub mod world;

@@ -3,6 +3,7 @@
 
 pub mod input;
 pub mod parser;
+pub mod postgres;
 pub mod program;
 
 use std::path::{Path, PathBuf};
