@@ -4,6 +4,7 @@
 //! nothing about what to fetch and knows no clock.
 
 pub mod generate;
+pub mod geodesy;
 pub mod ground;
 pub mod import;
 #[cfg(feature = "tiles3d")]

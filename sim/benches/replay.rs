@@ -11,7 +11,7 @@ use foresight_sim::client::ClientSettings;
 use foresight_sim::flight::Flight;
 use foresight_sim::link;
 use foresight_sim::path::built_in;
-use foresight_sim::policies::{NAMES, PolicySpec};
+use foresight_sim::policies::{PolicySpec, names};
 use foresight_sim::replay::{Stage, replay};
 use std::error::Error;
 use std::hint::black_box;
@@ -46,7 +46,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         preloaded: &[],
     };
     let mut group = c.benchmark_group("replay of ten seconds");
-    for name in NAMES {
+    for name in names() {
         let spec = PolicySpec::parse_list(name, 0.7, 16.0)?.remove(0);
         // Once outside the measurement, so that a failure is not measured but told.
         replay(stage, spec.build(&tree, &flight, &link, Time::ZERO))?;

@@ -295,6 +295,7 @@ fn outcome(name: &str, runs: &[Run]) -> PolicyOutcome {
         name: name.to_owned(),
         mean_quality: average(|f| f.mean_quality),
         mean_deficit: average(|f| f.mean_deficit),
+        mean_deficit_by_start: all(|f| f.mean_deficit),
         p05_quality: average(|f| f.p05_quality),
         seconds_below_0_9: average(|f| f.seconds_below_0_9).unwrap_or(0.0),
         seconds_to_0_9: average(|f| f.seconds_to_0_9),
@@ -370,8 +371,8 @@ fn mean_some(values: &[Option<f64>]) -> Option<f64> {
     mean(&values.iter().copied().flatten().collect::<Vec<_>>())
 }
 
-/// 95 % interval of the mean by Student's t; `None` if a start lacks the figure or there is only one.
-fn interval(values: &[Option<f64>]) -> Option<Interval> {
+/// 95 % interval of the mean by Student's t; `None` if a value is missing or there is only one.
+pub(crate) fn interval(values: &[Option<f64>]) -> Option<Interval> {
     let values: Vec<f64> = values.iter().copied().collect::<Option<_>>()?;
     let n = values.len() as f64;
     let centre = mean(&values).filter(|_| values.len() > 1)?;

@@ -6,7 +6,7 @@ use serde::Serialize;
 pub const SCHEMA_VERSION: u32 = 1;
 
 /// The document: one world, path and link, and what each policy made of them.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct Comparison {
     /// [`SCHEMA_VERSION`].
     pub schema_version: u32,
@@ -66,6 +66,23 @@ pub struct Inputs {
     pub viewport: [u32; 2],
     /// Vertical field of view, degrees.
     pub fov_y_deg: f64,
+}
+
+/// Deficits below this count as this much when one is divided by another.
+pub const DEFICIT_FLOOR: f64 = 1e-3;
+
+/// The relative deficit of `x` against `y`: max(x, 10⁻³) ÷ max(y, 10⁻³).
+pub fn relative_deficit(x: f64, y: f64) -> f64 {
+    x.max(DEFICIT_FLOOR) / y.max(DEFICIT_FLOOR)
+}
+
+/// The word for a pressure ρ: `starved`, `matched` or `ample`.
+pub fn regime(rho: f64) -> &'static str {
+    match rho {
+        r if r > 2.0 => "starved",
+        r if r < 0.5 => "ample",
+        _ => "matched",
+    }
 }
 
 /// Whether the comparison can mean anything: demand against supply.
@@ -133,6 +150,8 @@ pub struct PolicyOutcome {
     pub mean_quality: Option<f64>,
     /// Mean of 1 − Q.
     pub mean_deficit: Option<f64>,
+    /// Mean of 1 − Q for each start, in the order of [`Inputs::starts_s`].
+    pub mean_deficit_by_start: Vec<Option<f64>>,
     /// 5th percentile of Q.
     pub p05_quality: Option<f64>,
     /// Seconds with Q < 0.9.

@@ -3,20 +3,21 @@
 use crate::flight::{Flight, tick_time};
 use crate::link::LinkTrace;
 use foresight_scheduler::lod_tree::LodTree;
-use foresight_scheduler::policy::Policy;
-use foresight_scheduler::policy::added_benefit;
 use foresight_scheduler::policy::foresight::{Discards, Foresight, ForesightSettings};
-use foresight_scheduler::policy::lookahead::{Lookahead, LookaheadSettings};
-use foresight_scheduler::policy::tiles_renderer::{TilesRenderer, TilesRendererSettings};
+use foresight_scheduler::policy::{Policy, RIVALS, Rival, RivalSettings, added_benefit};
 use foresight_scheduler::predict::{Predictor, PredictorKind, known_path::KnownPath};
 use foresight_scheduler::units::Time;
 
-/// Names in the order of the comparison. Adding a policy is a file in the scheduler, a name here and an arm in
-/// [`PolicySpec::build`].
-pub const NAMES: [&str; 5] = ["foresight", "added-benefit", "lookahead", "3d-tiles-renderer", "clairvoyant"];
+/// Names in the order of the comparison: those that follow the objective around the rivals of [`RIVALS`].
+pub fn names() -> impl Iterator<Item = &'static str> + Clone {
+    let rivals = RIVALS.iter().map(|rival| rival.name);
+    ["foresight", "added-benefit"].into_iter().chain(rivals).chain(["clairvoyant"])
+}
 
-/// Those whose error target can be set; each as shipped aims at 16 px.
-pub const WITH_TARGET: [&str; 2] = ["lookahead", "3d-tiles-renderer"];
+/// The rival of that name.
+pub fn rival(name: &str) -> Option<&'static Rival> {
+    RIVALS.iter().find(|rival| rival.name == name)
+}
 
 /// Whether a policy of this label knows the true path: no client could run it.
 pub fn knows_the_future(label: &str) -> bool {
@@ -41,7 +42,7 @@ pub struct PolicySpec {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum PolicySpecError {
     /// No such policy.
-    #[error("unknown policy `{0}`; expected one of {list} or all", list = NAMES.join(", "))]
+    #[error("unknown policy `{0}`; expected one of {list} or all", list = names().collect::<Vec<_>>().join(", "))]
     Name(String),
     /// No such option.
     #[error("policy {policy}: unknown option `{option}`; expected {expected}")]
@@ -73,14 +74,14 @@ const OBJECTIVE_OPTIONS: &str = "alpha, predictor, discards, arrival, cover, hor
 impl PolicySpec {
     /// Parses a list separated by commas, or `all`. `alpha` is the default of those that have one.
     pub fn parse_list(list: &str, alpha: f64, error_target_px: f64) -> Result<Vec<PolicySpec>, PolicySpecError> {
-        let list = if list == "all" { NAMES.join(",") } else { list.to_owned() };
+        let list = if list == "all" { names().collect::<Vec<_>>().join(",") } else { list.to_owned() };
         list.split(',').map(|spec| PolicySpec::parse(spec.trim(), alpha, error_target_px)).collect()
     }
 
     fn parse(spec: &str, alpha: f64, error_target_px: f64) -> Result<PolicySpec, PolicySpecError> {
         let mut parts = spec.split(':');
         let given = parts.next().unwrap_or_default();
-        let name = NAMES.into_iter().find(|n| *n == given).ok_or_else(|| PolicySpecError::Name(given.to_owned()))?;
+        let name = names().find(|n| *n == given).ok_or_else(|| PolicySpecError::Name(given.to_owned()))?;
         let base = ForesightSettings { alpha, ..ForesightSettings::default() };
         let settings = match name {
             "added-benefit" => added_benefit::settings(base),
@@ -103,8 +104,11 @@ impl PolicySpec {
 
     fn set(&mut self, option: &str) -> Result<(), PolicySpecError> {
         let policy = self.name;
-        let has_target = WITH_TARGET.contains(&policy);
-        let expected = if has_target { "target or parallel" } else { OBJECTIVE_OPTIONS };
+        let expected = match rival(policy) {
+            Some(Rival { error_target_px: Some(_), .. }) => "target or parallel",
+            Some(_) => "parallel",
+            None => OBJECTIVE_OPTIONS,
+        };
         let unknown = || PolicySpecError::Option { policy, option: option.to_owned(), expected };
         let (key, value) = option.split_once('=').ok_or_else(unknown)?;
         let wrong =
@@ -117,9 +121,9 @@ impl PolicySpec {
             v if v == off => Ok(false),
             _ => Err(wrong(expected)),
         };
-        if has_target {
+        if rival(policy).is_some() {
             match key {
-                "target" => self.error_target_px = number(0.01, 1e4, "pixels from 0.01 to 10000")?,
+                "target" if self.has_target() => self.error_target_px = number(0.01, 1e4, "pixels from 0.01 to 10000")?,
                 "parallel" => self.parallel = Some(number(1.0, 1e4, "a count from 1 to 10000")? as usize),
                 _ => return Err(unknown()),
             }
@@ -172,27 +176,17 @@ impl PolicySpec {
 
     /// Whether it aims at an error on the screen.
     pub fn has_target(&self) -> bool {
-        WITH_TARGET.contains(&self.name)
+        rival(self.name).is_some_and(|rival| rival.error_target_px.is_some())
     }
 
     /// The policy itself, for one replay.
     pub fn build<'a>(&self, tree: &'a LodTree, flight: &Flight, link: &LinkTrace, start: Time) -> Box<dyn Policy + 'a> {
-        match self.name {
-            "lookahead" => {
-                let base = LookaheadSettings::default();
-                let parallel = self.parallel.unwrap_or(base.max_requests);
-                let settings =
-                    LookaheadSettings { error_target_px: self.error_target_px, max_requests: parallel, ..base };
-                Box::new(Lookahead::new(tree, settings))
+        match rival(self.name) {
+            Some(rival) => {
+                let parallel = self.parallel.unwrap_or(rival.parallel);
+                (rival.build)(tree, &RivalSettings { error_target_px: self.error_target_px, parallel })
             }
-            "3d-tiles-renderer" => {
-                let base = TilesRendererSettings::default();
-                let parallel = self.parallel.unwrap_or(base.max_downloads);
-                let settings =
-                    TilesRendererSettings { error_target_px: self.error_target_px, max_downloads: parallel, ..base };
-                Box::new(TilesRenderer::new(tree, settings))
-            }
-            _ if self.true_path => {
+            None if self.true_path => {
                 let path: Vec<_> =
                     flight.views.iter().enumerate().map(|(i, view)| (tick_time(i as u64), *view)).collect();
                 let mut predictor = KnownPath::default();
@@ -205,7 +199,7 @@ impl PolicySpec {
                     Box::new(policy)
                 }
             }
-            _ => Box::new(Foresight::new(self.label.clone(), self.settings)),
+            None => Box::new(Foresight::new(self.label.clone(), self.settings)),
         }
     }
 }

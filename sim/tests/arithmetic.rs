@@ -10,7 +10,7 @@ use foresight_scheduler::view::View;
 use foresight_sim::client::ClientSettings;
 use foresight_sim::flight::{Flight, TICKS_PER_FRAME, tick_time};
 use foresight_sim::link::{LinkTrace, RatePiece};
-use foresight_sim::policies::{NAMES, PolicySpec};
+use foresight_sim::policies::{PolicySpec, names};
 use foresight_sim::replay::{Run, Stage, replay};
 use glam::{DQuat, DVec3};
 
@@ -92,7 +92,7 @@ fn one_transfer_takes_latency_and_bytes() {
             let pixels_per_metre = 900.0 / (2.0 * libm::tan(0.5)) / 20.0;
             let off = f64::from(error) * pixels_per_metre / 48.0;
             let after = 1.0 / (1.0 + off * off);
-            for name in NAMES {
+            for name in names() {
                 let run = run(&tree, &flight, &link, client, named(name, &tree, &flight, &link));
                 assert_eq!(run.completions.len(), 1, "{name}");
                 assert_eq!(run.completions[0].at, shown, "{name} at {rate} bit/s");

@@ -17,7 +17,7 @@ use foresight_sim::compare::{Memory, Plan, compare};
 use foresight_sim::flight::{Flight, TICKS_PER_FRAME, tick_time};
 use foresight_sim::link::{LinkTrace, RatePiece};
 use foresight_sim::outcome::Inputs;
-use foresight_sim::policies::{NAMES, PolicySpec, WITH_TARGET};
+use foresight_sim::policies::{PolicySpec, names, rival};
 use foresight_sim::replay::{Run, Stage, replay};
 use glam::{DQuat, DVec3};
 use proptest::prelude::*;
@@ -97,11 +97,12 @@ fn link(tape: &mut Tape) -> LinkTrace {
 
 /// One of the policies with some of its options.
 fn specification(tape: &mut Tape) -> PolicySpec {
-    let name = NAMES[tape.below(NAMES.len())];
-    let options: &[&[&str]] = if WITH_TARGET.contains(&name) {
-        &[&["", ":target=1", ":target=64", ":target=0.01"], &["", ":parallel=1", ":parallel=3"]]
-    } else {
-        &[
+    let names: Vec<&str> = names().collect();
+    let name = names[tape.below(names.len())];
+    let options: &[&[&str]] = match rival(name) {
+        Some(rival) if rival.error_target_px.is_none() => &[&["", ":parallel=1", ":parallel=3"]],
+        Some(_) => &[&["", ":target=1", ":target=64", ":target=0.01"], &["", ":parallel=1", ":parallel=3"]],
+        None => &[
             &["", ":alpha=0", ":alpha=1", ":alpha=0.3"],
             &[
                 "",
@@ -123,7 +124,7 @@ fn specification(tape: &mut Tape) -> PolicySpec {
             &["", ":tolerance=0", ":tolerance=0.1"],
             &["", ":slack=0", ":slack=10"],
             &["", ":request-cost=0.5"],
-        ]
+        ],
     };
     let mut text = name.to_owned();
     for choices in options {

@@ -26,7 +26,7 @@
 
 use crate::benefit::frustum::{Frustum, Side};
 use crate::lod_tree::{LodTree, NodeId, RepId};
-use crate::policy::Policy;
+use crate::policy::{Policy, Rival};
 use crate::scheduler::Action;
 use crate::state::{ClientState, Status};
 use crate::units::Time;
@@ -37,6 +37,19 @@ use std::collections::VecDeque;
 
 /// One frame at 60 Hz.
 const FRAME: Time = Time(16_666_667);
+
+/// How a comparison offers it.
+pub const RIVAL: Rival = Rival {
+    name: "lookahead",
+    about: "required sets around the viewer at six look-ahead positions, by distance",
+    error_target_px: Some(16.0),
+    parallel: 4,
+    build: |tree, settings| {
+        let (error_target_px, max_requests) = (settings.error_target_px, settings.parallel);
+        let settings = LookaheadSettings { error_target_px, max_requests, ..LookaheadSettings::default() };
+        Box::new(Lookahead::new(tree, settings))
+    },
+};
 /// Orthoviews drawn per cell.
 const DIRECTIONS_PER_CELL: usize = 3;
 /// How much of the queue is put in order at a time.

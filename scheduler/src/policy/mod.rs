@@ -2,10 +2,22 @@
 
 pub mod added_benefit;
 pub mod foresight;
-pub mod lookahead;
-pub mod tiles_renderer;
 
-use crate::lod_tree::RepId;
+/// Declares the module of each rival and lists its [`Rival`].
+macro_rules! rivals {
+    ($($module:ident)*) => {
+        $(pub mod $module;)*
+        /// Every rival, in the order of the comparison.
+        pub const RIVALS: &[Rival] = &[$($module::RIVAL),*];
+    };
+}
+
+rivals! {
+    lookahead
+    tiles_renderer
+}
+
+use crate::lod_tree::{LodTree, RepId};
 use crate::scheduler::Action;
 use crate::state::ClientState;
 use crate::units::Time;
@@ -30,4 +42,28 @@ pub trait Policy: Send {
 
     /// The client has said where it will go.
     fn announce_path(&mut self, _path: &[(Time, View)]) {}
+}
+
+/// A policy of another viewer or paper, as a comparison offers it.
+#[derive(Clone, Copy, Debug)]
+pub struct Rival {
+    /// Its published name.
+    pub name: &'static str,
+    /// Its rule, in one line.
+    pub about: &'static str,
+    /// Error on the screen that it ships with as its aim, pixels; `None` if it aims at something else.
+    pub error_target_px: Option<f64>,
+    /// Requests in flight at once that it ships with.
+    pub parallel: usize,
+    /// Makes it for one client.
+    pub build: for<'a> fn(&'a LodTree, &RivalSettings) -> Box<dyn Policy + 'a>,
+}
+
+/// What can be set of every rival.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RivalSettings {
+    /// Error on the screen aimed at, pixels, where the rival has such an aim.
+    pub error_target_px: f64,
+    /// Requests in flight at once.
+    pub parallel: usize,
 }

@@ -43,7 +43,7 @@ mod unload;
 use crate::benefit::coverage::Refinement;
 use crate::benefit::frustum::Frustum;
 use crate::lod_tree::{LodTree, RepId};
-use crate::policy::Policy;
+use crate::policy::{Policy, Rival};
 use crate::scheduler::Action;
 use crate::state::{ClientState, Status};
 use crate::units::Time;
@@ -55,6 +55,19 @@ use traversal::{Descent, Traversal};
 
 /// One frame at 60 Hz.
 const FRAME: Time = Time(16_666_667);
+
+/// How a comparison offers it.
+pub const RIVAL: Rival = Rival {
+    name: "3d-tiles-renderer",
+    about: "the viewer of that name as shipped: 25 downloads, 16 px, its queue's order and its cache",
+    error_target_px: Some(16.0),
+    parallel: 25,
+    build: |tree, settings| {
+        let (error_target_px, max_downloads) = (settings.error_target_px, settings.parallel);
+        let settings = TilesRendererSettings { error_target_px, max_downloads, ..TilesRendererSettings::default() };
+        Box::new(TilesRenderer::new(tree, settings))
+    },
+};
 
 /// What a user of the viewer can set; the default is what it ships with.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -37,6 +37,9 @@ pub(crate) struct PathArgs {
     /// Replay this many seconds; to the end of the path if not given
     #[arg(long, value_name = "SECONDS")]
     duration: Option<f64>,
+    /// Replay no more than this many seconds of what --duration says
+    #[arg(long, value_name = "SECONDS")]
+    at_most: Option<f64>,
     /// Begin again when the path ends before the duration
     #[arg(long = "loop", requires = "duration")]
     looped: bool,
@@ -53,6 +56,7 @@ impl Default for PathArgs {
             viewport: [1920, 1080],
             from: 0.0,
             duration: None,
+            at_most: None,
             looped: false,
         }
     }
@@ -136,6 +140,7 @@ pub(crate) fn place(path: &CameraPath, world: &World, as_is: bool, args: &PathAr
     }
     let left = length - args.from;
     let duration = args.duration.unwrap_or(left);
+    let duration = args.at_most.map_or(duration, |most| duration.min(most));
     if !(duration > 0.0 && duration <= 86_400.0) {
         bail!(
             "a duration of {duration} s; expected more than 0 and at most 86400 seconds (choose with --from and --duration)"

@@ -8,7 +8,7 @@ use foresight_scheduler::benefit::cut::CutSettings;
 use foresight_scheduler::scheduler::SchedulerSettings;
 use foresight_sim::client::ClientSettings;
 use foresight_sim::compare::{Memory, Plan, compare, starts};
-use foresight_sim::outcome::Inputs;
+use foresight_sim::outcome::{Comparison, Inputs};
 use foresight_sim::policies::PolicySpec;
 use foresight_sim::report;
 use std::io::{IsTerminal, Write};
@@ -154,7 +154,45 @@ fn refinement(text: &str) -> Result<Refinement, String> {
     }
 }
 
+/// Runs everything that follows on this many threads.
+pub(crate) fn use_threads(threads: Option<u32>) -> anyhow::Result<()> {
+    if let Some(threads) = threads {
+        rayon::ThreadPoolBuilder::new().num_threads(threads as usize).build_global().context("starting threads")?;
+    }
+    Ok(())
+}
+
 pub(crate) fn run(args: ReplayArgs) -> anyhow::Result<()> {
+    use_threads(args.threads)?;
+    let shows_progress = std::io::stderr().is_terminal() && !args.json;
+    let comparison = execute(&args, &|done, all| {
+        if shows_progress {
+            eprint!("\r{done} of {all} replays");
+        }
+    })?;
+    if shows_progress {
+        eprint!("\r\x1b[K");
+    }
+    let mut out = std::io::stdout().lock();
+    if args.json {
+        serde_json::to_writer(&mut out, &comparison)?;
+        writeln!(out)?;
+    } else {
+        let width = terminal_width();
+        writeln!(out, "{}", report::table(&comparison, width))?;
+    }
+    if let Some(dir) = &args.report {
+        let command = std::env::args().collect::<Vec<_>>().join(" ");
+        let file = report::write_with_command(&comparison, dir, &command)?;
+        if !args.json {
+            writeln!(out, "report: {}", file.display())?;
+        }
+    }
+    Ok(())
+}
+
+/// Makes the comparison that the arguments ask for. `progress` is told how many replays of how many are done.
+pub(crate) fn execute(args: &ReplayArgs, progress: &(dyn Fn(usize, usize) + Sync)) -> anyhow::Result<Comparison> {
     if !(args.opening >= 0.0 && args.opening <= 2.0) {
         bail!("--opening {}; expected an angle from 0 to 2", args.opening);
     }
@@ -164,9 +202,6 @@ pub(crate) fn run(args: ReplayArgs) -> anyhow::Result<()> {
             args.decode_rate,
             args.upload_budget
         );
-    }
-    if let Some(threads) = args.threads {
-        rayon::ThreadPoolBuilder::new().num_threads(threads as usize).build_global().context("starting threads")?;
     }
     let (target, hindsight) = match args.error_target.as_deref() {
         None => (16.0, Vec::new()),
@@ -223,35 +258,11 @@ pub(crate) fn run(args: ReplayArgs) -> anyhow::Result<()> {
         fov_y_deg: view.fov_y.to_degrees(),
         ..Inputs::default()
     };
-    let shows_progress = std::io::stderr().is_terminal() && !args.json;
-    let mut comparison = compare(&plan, inputs, |done, all| {
-        if shows_progress {
-            eprint!("\r{done} of {all} replays");
-        }
-    })?;
-    if shows_progress {
-        eprint!("\r\x1b[K");
-    }
+    let mut comparison = compare(&plan, inputs, progress)?;
     comparison.warnings.extend(inputs::world_notes(&world, 5));
     comparison.warnings.extend(path.notes().iter().map(|n| format!("path: {n}")));
     comparison.warnings.extend(link.notes().iter().map(|n| format!("link: {n}")));
-
-    let mut out = std::io::stdout().lock();
-    if args.json {
-        serde_json::to_writer(&mut out, &comparison)?;
-        writeln!(out)?;
-    } else {
-        let width = terminal_width();
-        writeln!(out, "{}", report::table(&comparison, width))?;
-    }
-    if let Some(dir) = &args.report {
-        let command = std::env::args().collect::<Vec<_>>().join(" ");
-        let file = report::write_with_command(&comparison, dir, &command)?;
-        if !args.json {
-            writeln!(out, "report: {}", file.display())?;
-        }
-    }
-    Ok(())
+    Ok(comparison)
 }
 
 /// Columns of the terminal, by COLUMNS; 120 where nothing says.

@@ -89,6 +89,7 @@ fn policy(
     let filled = |t: f64| (0.1 + t / (20.0 + 9.0 * rank)).min(0.985 - 0.02 * libm::sin(t * 3.0).abs());
     let around = |value: f64, half: f64| Some(Interval { lower: value - half, upper: value + half });
     let outcome = PolicyOutcome {
+        mean_deficit_by_start: Vec::new(),
         name: name.to_owned(),
         mean_quality: Some(mean),
         mean_deficit: Some(1.0 - mean),

@@ -1,5 +1,6 @@
 //! Bounding volumes of 3D Tiles, and the axis-aligned boxes around them.
 
+use crate::geodesy::{WGS84_A, WGS84_B};
 use foresight_scheduler::lod_tree::Aabb;
 use glam::{DMat3, DMat4, DVec3};
 
@@ -24,11 +25,6 @@ pub enum Volume {
         radius: f64,
     },
 }
-
-/// WGS 84 semi-major axis, metres.
-pub(crate) const WGS84_A: f64 = 6_378_137.0;
-/// WGS 84 semi-minor axis, metres.
-pub(crate) const WGS84_B: f64 = 6_356_752.314_245_179;
 
 impl Volume {
     /// The axis-aligned box around the volume once `transform` (affine) has been applied.
@@ -96,14 +92,7 @@ fn cosine_range(from: f64, to: f64) -> (f64, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn ecef(longitude: f64, latitude: f64, height: f64) -> DVec3 {
-        let e2 = 1.0 - WGS84_B * WGS84_B / (WGS84_A * WGS84_A);
-        let n = WGS84_A / (1.0 - e2 * libm::sin(latitude) * libm::sin(latitude)).sqrt();
-        let rho = (n + height) * libm::cos(latitude);
-        let z = (n * (1.0 - e2) + height) * libm::sin(latitude);
-        DVec3::new(rho * libm::cos(longitude), rho * libm::sin(longitude), z)
-    }
+    use crate::geodesy::Geodetic;
 
     #[test]
     fn a_region_is_bounded_tightly() {
@@ -121,7 +110,7 @@ mod tests {
                     for height in [low, high] {
                         let longitude = west + span * f64::from(i) / 200.0;
                         let latitude = south + (north - south) * f64::from(j) / 200.0;
-                        let point = ecef(longitude, latitude, height);
+                        let point = Geodetic { latitude, longitude, height }.to_ecef();
                         sampled = sampled.union(Aabb { min: point, max: point });
                     }
                 }

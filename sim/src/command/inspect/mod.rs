@@ -1,11 +1,16 @@
 //! `inspect`: what files contain, and the pressure to expect when they are replayed together.
 
+mod link;
+mod path;
+mod world;
+
 use super::inputs::{self, PathArgs};
 use anyhow::bail;
 use clap::Args;
-use foresight_index::world::{self, World};
+use foresight_index::world::World;
 use foresight_scheduler::benefit::cut::CutSettings;
-use foresight_sim::link::{self, LinkTrace};
+use foresight_sim::link::LinkTrace;
+use foresight_sim::outcome::regime;
 use foresight_sim::path::CameraPath;
 use foresight_sim::pressure::Needs;
 use std::io::Write;
@@ -35,15 +40,15 @@ fn recognise(file: &str, args: &PathArgs) -> anyhow::Result<Input> {
     }
     let path = Path::new(file);
     if path.is_dir() || path.extension().is_some_and(|e| e == "json") {
-        return Ok(Input::World(Box::new(world::open(path)?)));
+        return Ok(Input::World(Box::new(foresight_index::world::open(path)?)));
     }
     let as_path = inputs::open_path(Some(file), args);
-    let as_link = || link::parse::from_specification(file);
+    let as_link = || foresight_sim::link::parse::from_specification(file);
     match as_path {
         Ok(path) => Ok(Input::Path(path)),
         Err(path_error) => match as_link() {
             Ok(link) => Ok(Input::Link(link)),
-            Err(link_error) => match world::open(path) {
+            Err(link_error) => match foresight_index::world::open(path) {
                 Ok(world) => Ok(Input::World(Box::new(world))),
                 Err(_) => bail!("{file} is neither a path ({path_error:#}) nor a link ({link_error})"),
             },
@@ -57,15 +62,15 @@ pub(crate) fn run(args: &InspectArgs) -> anyhow::Result<()> {
     for file in &args.files {
         match recognise(file, &args.path_args)? {
             Input::World(world) => {
-                describe_world(&mut out, file, &world)?;
+                world::describe(&mut out, file, &world)?;
                 worlds.push(world);
             }
             Input::Path(path) => {
-                describe_path(&mut out, file, &path)?;
+                path::describe(&mut out, file, &path)?;
                 paths.push(path);
             }
             Input::Link(link) => {
-                describe_link(&mut out, file, &link)?;
+                link::describe(&mut out, file, &link)?;
                 links.push(link);
             }
         }
@@ -80,70 +85,6 @@ pub(crate) fn run(args: &InspectArgs) -> anyhow::Result<()> {
 
 fn megabytes(bytes: u64) -> f64 {
     bytes as f64 / 1e6
-}
-
-fn describe_world(out: &mut impl Write, file: &str, world: &World) -> std::io::Result<()> {
-    let summary = world.summary();
-    let size = summary.bounds.max - summary.bounds.min;
-    writeln!(out, "{file}: world, {}", world.kind)?;
-    writeln!(
-        out,
-        "  {} representations on {} nodes, {} of them leaves; depth {}",
-        summary.representations, summary.nodes, summary.leaves, summary.depth
-    )?;
-    writeln!(
-        out,
-        "  {:.2} MB on the wire, {:.2} MB decoded with mips; {:.1} MB of memory for the tree ({:.1} bytes a representation)",
-        megabytes(summary.wire_bytes),
-        megabytes(summary.decoded_bytes),
-        megabytes(world.tree.heap_bytes() as u64),
-        world.tree.heap_bytes() as f64 / summary.representations.max(1) as f64
-    )?;
-    writeln!(out, "  extent {:.2} × {:.2} × {:.2} m, up {:.3}", size.x, size.y, size.z, world.up)?;
-    for note in &world.notes {
-        writeln!(out, "  {note}")?;
-    }
-    Ok(())
-}
-
-fn describe_path(out: &mut impl Write, file: &str, path: &CameraPath) -> std::io::Result<()> {
-    let poses = path.poses();
-    let mut length = 0.0;
-    let (mut low, mut high) = (poses[0].position, poses[0].position);
-    for pair in poses.windows(2) {
-        length += pair[0].position.distance(pair[1].position);
-        low = low.min(pair[1].position);
-        high = high.max(pair[1].position);
-    }
-    let duration = path.duration();
-    writeln!(out, "{file}: path")?;
-    writeln!(
-        out,
-        "  {} poses over {duration:.2} s ({:.1} Hz); {length:.1} m long, {:.2} m/s on average",
-        poses.len(),
-        (poses.len() - 1) as f64 / duration,
-        length / duration
-    )?;
-    writeln!(out, "  extent {:.2} m, up {:.3}", high - low, path.up())?;
-    for note in path.notes() {
-        writeln!(out, "  {note}")?;
-    }
-    Ok(())
-}
-
-fn describe_link(out: &mut impl Write, file: &str, link: &LinkTrace) -> std::io::Result<()> {
-    writeln!(out, "{file}: link")?;
-    writeln!(
-        out,
-        "  {:.3} Mbit/s on average over {:.2} s, then it repeats; round trip {:.1} ms",
-        link.mean_rate() * 8e-6,
-        link.period().secs(),
-        link.rtt().secs() * 1e3
-    )?;
-    for note in link.notes() {
-        writeln!(out, "  {note}")?;
-    }
-    Ok(())
 }
 
 fn pressure(
@@ -173,12 +114,7 @@ fn pressure(
             let budget = (mu * needs.largest_bytes as f64) as u64;
             needs.newly_needed_bytes(&world.tree, budget) as f64 / (duration.secs() * link.mean_rate())
         };
-        let word = match rho {
-            r if r > 2.0 => "starved",
-            r if r < 0.1 => "policies cannot differ",
-            r if r < 0.5 => "ample",
-            _ => "matched",
-        };
+        let word = if rho < 0.1 { "policies cannot differ" } else { regime(rho) };
         writeln!(
             out,
             "  on {}: ρ = {rho:.3} ({word}); λ = {:.3}, {:.3}, {:.3} at μ = ¼, ½, 1",
