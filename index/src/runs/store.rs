@@ -129,7 +129,11 @@ impl RunStore {
             }
             _ => RunStoreError::Io { file: file.to_owned(), source },
         };
-        let beside = tempfile::Builder::new().prefix(".runs-").suffix(".partial").tempfile_in(folder).map_err(io)?;
+        let mut builder = tempfile::Builder::new();
+        // As other files are made, not for the owner alone: the process's mask takes its bits away.
+        #[cfg(unix)]
+        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+        let beside = builder.prefix(".runs-").suffix(".partial").tempfile_in(folder).map_err(io)?;
         let mut connection = self.connect_file(&self.file_options(beside.path()))?;
         let migrated = self.runtime.block_on(schema::migrate(&mut connection));
         self.block(connection.close())?;
