@@ -8,11 +8,16 @@ use sqlx::{ConnectOptions as _, Executor as _};
 use std::time::Duration;
 
 fn execute(url: &str, sql: &'static str) {
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
-    runtime.block_on(async {
-        let options: sqlx::postgres::PgConnectOptions = url.parse().expect("a URL");
-        options.connect().await.expect("a connection").execute(sql).await.expect(sql);
-    });
+    block(async { connection(url).await.execute(sql).await.expect(sql) });
+}
+
+async fn connection(url: &str) -> sqlx::postgres::PgConnection {
+    let options: sqlx::postgres::PgConnectOptions = url.parse().expect("a URL");
+    options.connect().await.expect("a connection")
+}
+
+fn block<T>(work: impl Future<Output = T>) -> T {
+    tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime").block_on(work)
 }
 
 #[test]
@@ -52,17 +57,20 @@ fn a_server_holds_what_a_file_holds() {
             program_version: Some(run.program_version.clone()),
             id: Some(stored.id),
         };
-        assert_eq!(store.list(&filter).expect("filtered"), [stored.clone()]);
+        assert_eq!(store.list(&filter).expect("filtered"), std::slice::from_ref(stored));
     }
     assert!(matches!(store.run(41), Err(RunStoreError::NoSuchRun { id: 41, .. })));
 
     let mut impatient = RunStore::open_within(&location, Access::Write, Duration::from_millis(200)).expect("opens");
     let (run, document) = any_run::numbered(0);
-    std::thread::scope(|scope| {
-        scope.spawn(|| execute(server.url(), "BEGIN; LOCK TABLE runs IN EXCLUSIVE MODE; SELECT pg_sleep(2); COMMIT"));
-        std::thread::sleep(Duration::from_millis(700));
-        let locked = impatient.add(&run, &document).expect_err("it is locked");
+    block(async {
+        let mut holder = connection(server.url()).await;
+        holder.execute("BEGIN; LOCK TABLE runs IN EXCLUSIVE MODE").await.expect("the lock");
+        // On a thread without a runtime, as the store brings its own.
+        let locked = std::thread::scope(|scope| scope.spawn(|| impatient.add(&run, &document)).join());
+        let locked = locked.expect("no panic").expect_err("it is locked");
         assert!(matches!(locked, RunStoreError::Locked { .. }), "{locked}");
+        holder.execute("ROLLBACK").await.expect("the lock is given back");
     });
     assert_eq!(impatient.add(&run, &document).expect("it is free again"), 41);
 

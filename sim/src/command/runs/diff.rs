@@ -157,12 +157,15 @@ fn of_versions<'a>(names: &[String; 2], before: &'a [StoredRun], after: &'a [Sto
         pair(&mut difference, &subject, [&names[0], &names[1]], &a[inputs], &b[inputs]);
     }
     for (name, own, other) in [(&names[0], &a, &b), (&names[1], &b, &a)] {
-        for (_, entries) in own.iter().filter(|(inputs, _)| !other.contains_key(*inputs)) {
-            let stored = entries.iter().map(|(stored, _)| stored).max_by_key(|stored| stored.id);
-            difference.notes.extend(
-                stored.map(|s| format!("only {name} replayed {} with these settings: run {}", subject(s), s.id)),
-            );
-        }
+        let alone = own.iter().filter(|(inputs, _)| !other.contains_key(*inputs));
+        let mut newest: Vec<&StoredRun> = alone
+            .filter_map(|(_, entries)| entries.iter().map(|(stored, _)| *stored).max_by_key(|stored| stored.id))
+            .collect();
+        newest.sort_by_key(|stored| stored.id);
+        let note = |stored: &StoredRun| {
+            format!("only {name} replayed {} with these settings: run {}", subject(stored), stored.id)
+        };
+        difference.notes.extend(newest.into_iter().map(note));
     }
     difference
 }
@@ -285,8 +288,10 @@ mod tests {
             stored(2, "y", &[("a", 0.1, None)]),
             stored(3, "x", &[("a", 0.4, Some(0.01))]),
         ];
-        let after =
-            [stored(4, "x", &[("a", 0.2, Some(0.01)), ("b", 0.4, None), ("c", 0.1, None)]), stored(5, "z", &[])];
+        let after = [
+            stored(4, "x", &[("a", 0.2, Some(0.01)), ("b", 0.4, None), ("c", 0.1, None)]),
+            stored(5, "z", &[("a", 0.3, None)]),
+        ];
         let difference = of_versions(&["1".to_owned(), "2".to_owned()], &before, &after);
         let rows: Vec<_> = difference.rows.iter().map(|row| (row.policy, row.before.0.id, row.after.0.id)).collect();
         assert_eq!(rows, [("a", 3, 4), ("b", 1, 4)], "of `a` the later run, of `b` the only one");
