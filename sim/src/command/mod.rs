@@ -37,7 +37,7 @@ enum Command {
     Suite(suite::SuiteArgs),
     /// The store of past runs: lists, shows, compares, exports and repeats them.
     Runs(runs::RunsArgs),
-    /// Makes worlds of any size.
+    /// Makes worlds of any size, and recordings of paths.
     Generate(generate::GenerateArgs),
 }
 
