@@ -3,7 +3,7 @@
 use std::fmt::Display;
 
 use foresight_index::generate::city;
-use foresight_index::import::tiles3d;
+use foresight_index::import::{cityjson, tiles3d};
 use foresight_index::manifest;
 use foresight_sim::{link, path};
 
@@ -11,8 +11,9 @@ use foresight_sim::{link, path};
 pub type Parser = fn(&[u8]) -> Result<(), String>;
 
 /// Every parser by the name of its corpus and fuzz target.
-pub const TARGETS: [(&str, Parser); 7] = [
+pub const TARGETS: [(&str, Parser); 8] = [
     ("city", |bytes| outcome(city::parse(bytes))),
+    ("cityjson", |bytes| outcome(cityjson::parse(bytes, "model"))),
     ("content", |bytes| outcome(tiles3d::content_summary(bytes))),
     ("link", |bytes| outcome(link::parse::from_bytes("link", bytes))),
     ("manifest", |bytes| outcome(manifest::parse(bytes))),

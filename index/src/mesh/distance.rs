@@ -1,7 +1,9 @@
 //! The error of a surface S that stands for originals O: how far a point of either is from the other at most (the
 //! two-sided Hausdorff distance), but what S leaves out altogether counts for no more than its own diameter ∅,
 //!
-//!     max( max_{o∈O} min(∅(o), min_{s∈S} |o − s|), max_{s∈S} min_{o∈O} |o − s| )
+//! ```text
+//! max( max_{o∈O} min(∅(o), min_{s∈S} |o − s|), max_{s∈S} min_{o∈O} |o − s| )
+//! ```
 //!
 //! A viewer misses a house by the size of the house, however far the next surface is. Bracketed by branch and bound:
 //! A piece of a triangle with corners v is nowhere farther from the other surface than max |v − T| for any one of its
