@@ -13,5 +13,8 @@ pub mod import;
 pub mod manifest;
 #[cfg(feature = "cityjson")]
 mod mesh;
+pub mod specification;
+#[cfg(feature = "terrain")]
+pub mod terrain;
 pub mod uris;
 pub mod world;

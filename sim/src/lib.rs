@@ -13,4 +13,5 @@ mod random;
 pub mod replay;
 pub mod report;
 pub mod stopwatch;
+pub mod suite;
 mod text_lines;

@@ -6,7 +6,7 @@ use serde::Serialize;
 pub const SCHEMA_VERSION: u32 = 1;
 
 /// The document: one world, path and link, and what each policy made of them.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct Comparison {
     /// [`SCHEMA_VERSION`].
     pub schema_version: u32,
@@ -58,6 +58,12 @@ pub struct Inputs {
     pub refinement: String,
     /// Whether the first view's needs were resident at the start.
     pub warm: bool,
+    /// Seconds of its path that the client announced, if it did.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub announce_s: Option<f64>,
+    /// The recorded head that rode on the path, if one did.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub head: Option<String>,
     /// Seed of everything random.
     pub seed: u64,
     /// Offsets into the link, seconds, one a replay; the first replay's series are drawn.
@@ -66,6 +72,23 @@ pub struct Inputs {
     pub viewport: [u32; 2],
     /// Vertical field of view, degrees.
     pub fov_y_deg: f64,
+}
+
+/// Deficits below this count as this much when one is divided by another.
+pub const DEFICIT_FLOOR: f64 = 1e-3;
+
+/// The relative deficit of `x` against `y`: max(x, 10⁻³) ÷ max(y, 10⁻³).
+pub fn relative_deficit(x: f64, y: f64) -> f64 {
+    x.max(DEFICIT_FLOOR) / y.max(DEFICIT_FLOOR)
+}
+
+/// The word for a pressure ρ: `starved`, `matched` or `ample`.
+pub fn regime(rho: f64) -> &'static str {
+    match rho {
+        r if r > 2.0 => "starved",
+        r if r < 0.5 => "ample",
+        _ => "matched",
+    }
 }
 
 /// Whether the comparison can mean anything: demand against supply.
@@ -133,6 +156,8 @@ pub struct PolicyOutcome {
     pub mean_quality: Option<f64>,
     /// Mean of 1 − Q.
     pub mean_deficit: Option<f64>,
+    /// Mean of 1 − Q for each start, in the order of [`Inputs::starts_s`].
+    pub mean_deficit_by_start: Vec<Option<f64>>,
     /// 5th percentile of Q.
     pub p05_quality: Option<f64>,
     /// Seconds with Q < 0.9.
@@ -147,6 +172,8 @@ pub struct PolicyOutcome {
     pub bytes_wasted: f64,
     /// Bytes that had crossed the link when their request was cancelled.
     pub bytes_cancelled: f64,
+    /// Requests that failed, those included that were given up because what they need first failed.
+    pub failures: f64,
     /// Representations discarded.
     pub evictions: f64,
     /// Times the policy was asked and chose to do something.

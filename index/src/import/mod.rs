@@ -2,5 +2,7 @@
 
 #[cfg(feature = "cityjson")]
 pub mod cityjson;
+#[cfg(feature = "elevation")]
+pub mod elevation;
 #[cfg(feature = "tiles3d")]
 pub mod tiles3d;

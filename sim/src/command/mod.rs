@@ -4,6 +4,7 @@ mod generate;
 mod inputs;
 mod inspect;
 mod replay;
+mod suite;
 
 use clap::{Parser, Subcommand};
 
@@ -27,7 +28,9 @@ enum Command {
     Replay(Box<replay::ReplayArgs>),
     /// Tells what a world, path or link contains, its traps, and the pressure to expect.
     Inspect(inspect::InspectArgs),
-    /// Makes worlds of any size.
+    /// Runs the named benchmark cases, and sets foresight against each rival.
+    Suite(suite::SuiteArgs),
+    /// Makes worlds of any size, and recordings of paths.
     Generate(generate::GenerateArgs),
 }
 
@@ -37,6 +40,7 @@ pub(crate) fn run(cli: Cli) -> anyhow::Result<()> {
         None => replay::run(replay::ReplayArgs::built_in()),
         Some(Command::Replay(args)) => replay::run(*args),
         Some(Command::Inspect(args)) => inspect::run(&args),
+        Some(Command::Suite(args)) => suite::run(&args),
         Some(Command::Generate(args)) => generate::run(args),
     }
 }

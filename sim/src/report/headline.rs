@@ -1,8 +1,8 @@
 //! What came out, in sentences.
 
-use super::metric::{pressure_word, relative_deficit};
+use super::metric::pressure_word;
 use super::number::{fixed, optional, printable, significant};
-use crate::outcome::{Comparison, PolicyOutcome};
+use crate::outcome::{Comparison, PolicyOutcome, relative_deficit};
 use crate::policies::knows_the_future;
 
 /// Longest name in a sentence, characters.

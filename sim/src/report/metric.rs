@@ -1,10 +1,7 @@
 //! The columns that the terminal's table and the report's table share.
 
 use super::number::{self, NEVER};
-use crate::outcome::{Comparison, Interval, Intervals, PolicyOutcome};
-
-/// Deficits below this count as this much when one is divided by another.
-const DEFICIT_FLOOR: f64 = 1e-3;
+use crate::outcome::{Comparison, Interval, Intervals, PolicyOutcome, regime, relative_deficit};
 
 /// Which end of a column is the good one.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -50,11 +47,6 @@ impl Context {
 /// The first policy called `foresight…`.
 pub(super) fn reference(comparison: &Comparison) -> Option<&PolicyOutcome> {
     comparison.policies.iter().find(|p| p.name.starts_with("foresight"))
-}
-
-/// max(`x`, 10⁻³) ÷ max(`y`, 10⁻³).
-pub(super) fn relative_deficit(x: f64, y: f64) -> f64 {
-    x.max(DEFICIT_FLOOR) / y.max(DEFICIT_FLOOR)
 }
 
 /// A figure as text.
@@ -230,10 +222,5 @@ pub(super) fn bound_cell(column: usize, comparison: &Comparison, context: &Conte
 
 /// How tight the link is: `starved` (ρ > 2), `matched`, `ample` (ρ < ½), or [`NEVER`].
 pub(super) fn pressure_word(rho: f64) -> &'static str {
-    match rho {
-        r if r.is_nan() => NEVER,
-        r if r > 2.0 => "starved",
-        r if r < 0.5 => "ample",
-        _ => "matched",
-    }
+    if rho.is_nan() { NEVER } else { regime(rho) }
 }

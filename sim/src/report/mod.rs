@@ -7,15 +7,18 @@ mod metric;
 mod number;
 mod page;
 mod plot;
+mod suite;
 mod table;
 
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
+pub use suite::{suite_page, suite_text};
 pub use table::table;
 
 use crate::outcome::Comparison;
+use crate::suite::SuiteOutcome;
 
 /// The report as one self-contained HTML page: no script, nothing loaded from anywhere, for light and dark, from 320 px
 /// of width. Equal comparisons give equal bytes.
@@ -37,6 +40,16 @@ pub fn write(comparison: &Comparison, dir: &Path) -> io::Result<PathBuf> {
 /// [`write()`] with the command that repeats the comparison.
 pub fn write_with_command(comparison: &Comparison, dir: &Path, command: &str) -> io::Result<PathBuf> {
     write_page(comparison, dir, &html_with_command(comparison, command))
+}
+
+/// Writes `suite.html` and `suite.json` into `dir` as [`write()`] does, and returns the path of the page.
+pub fn write_suite(outcome: &SuiteOutcome, dir: &Path) -> io::Result<PathBuf> {
+    let document = serde_json::to_vec_pretty(outcome).map_err(io::Error::from)?;
+    fs::create_dir_all(dir).map_err(|e| at(dir, e))?;
+    replace(&dir.join("suite.json"), &document)?;
+    let page = dir.join("suite.html");
+    replace(&page, suite_page(outcome).as_bytes())?;
+    Ok(page)
 }
 
 fn write_page(comparison: &Comparison, dir: &Path, page: &str) -> io::Result<PathBuf> {

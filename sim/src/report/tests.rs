@@ -37,6 +37,8 @@ fn synthetic() -> Comparison {
             worst_case: "union".to_owned(),
             refinement: "partial".to_owned(),
             warm: false,
+            announce_s: None,
+            head: None,
             seed: 1,
             starts_s: vec![0.0, 31.5, 77.25],
             viewport: [1280, 720],
@@ -89,6 +91,7 @@ fn policy(
     let filled = |t: f64| (0.1 + t / (20.0 + 9.0 * rank)).min(0.985 - 0.02 * libm::sin(t * 3.0).abs());
     let around = |value: f64, half: f64| Some(Interval { lower: value - half, upper: value + half });
     let outcome = PolicyOutcome {
+        mean_deficit_by_start: Vec::new(),
         name: name.to_owned(),
         mean_quality: Some(mean),
         mean_deficit: Some(1.0 - mean),
@@ -99,6 +102,7 @@ fn policy(
         bytes_fetched: fetched,
         bytes_wasted: fetched * (0.04 + 0.06 * rank),
         bytes_cancelled: fetched * 0.015 * rank,
+        failures: 0.0,
         evictions: 212.0 * rank,
         decisions: 900.0,
         decision_ns: DecisionNanos { p50: 41_300, p99: 388_000, max: 2_100_000 },

@@ -141,7 +141,7 @@ fn ground(model: &Model, items: &[items::Item]) -> Ground {
         // A point is a triangle without area.
         triangles = lowest.map(|point| [point; 3]).collect();
     }
-    Ground::Surface(GroundSurface::new(triangles))
+    Ground::Triangles(GroundSurface::new(triangles))
 }
 
 /// The tree being written.
