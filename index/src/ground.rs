@@ -1,5 +1,7 @@
 //! The height of the ground under a position, as far as a world's leaves tell it.
 
+mod surface;
+
 use std::fmt::Debug;
 use std::sync::{Arc, OnceLock};
 
@@ -7,6 +9,8 @@ use foresight_scheduler::lod_tree::{LodTree, NodeId};
 use glam::{DVec2, DVec3};
 use rstar::primitives::{GeomWithData, Rectangle};
 use rstar::{AABB, RTree};
+
+pub use surface::GroundSurface;
 
 /// A leaf's bounds seen along `up`, with its height above the datum.
 type Footprint = GeomWithData<Rectangle<[f64; 2]>, f32>;
@@ -18,6 +22,8 @@ pub enum Ground {
     Flat(f64),
     /// A height per leaf.
     Leaves(LeafHeights),
+    /// Triangles.
+    Triangles(GroundSurface),
     /// A height at every place, in a world where z is up.
     Surface(Arc<dyn Surface>),
     /// None: a world in space.
@@ -52,7 +58,7 @@ impl Ground {
     /// The height of the ground under or over `at`, metres along the unit vector `up`. Of the leaves whose footprint
     /// holds the position the lowest counts; where there is none, the one with the nearest footprint. The footprint is
     /// that of the leaf's bounds on the plane across `up`, so on a planet it holds near the place where `up` was taken.
-    /// `None` without leaves or ground, or if `at` is not finite.
+    /// Of triangles, see [`GroundSurface`]. `None` without leaves or ground, or if `at` is not finite.
     pub fn height(&self, tree: &LodTree, up: DVec3, at: DVec3) -> Option<f64> {
         if !at.is_finite() {
             return None;
@@ -62,6 +68,7 @@ impl Ground {
             Ground::Surface(surface) => return Some(surface.height(at.truncate())),
             Ground::Absent => return None,
             Ground::Leaves(leaves) => leaves,
+            Ground::Triangles(surface) => return surface.height(up, at),
         };
         let index = leaves.index.get_or_init(|| footprints(tree, up, &leaves.above_datum));
         let point = across(up, at).to_array();

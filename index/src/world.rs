@@ -43,6 +43,8 @@ pub enum WorldKind {
     Mosaic,
     /// A generated city.
     City,
+    /// A city model in CityJSON or CityJSONSeq.
+    CityJson,
     /// Terrain from a grid of heights.
     Terrain,
     /// Generated terrain.
@@ -57,6 +59,7 @@ impl fmt::Display for WorldKind {
             WorldKind::Tiles3d => "3D Tiles",
             WorldKind::Mosaic => "mosaic of 3D Tiles",
             WorldKind::City => "generated city",
+            WorldKind::CityJson => "CityJSON",
             WorldKind::Terrain => "elevation grid",
             WorldKind::GeneratedTerrain => "generated terrain",
             WorldKind::Asteroids => "generated asteroids",
@@ -182,16 +185,20 @@ pub enum WorldError {
     #[cfg(feature = "elevation")]
     #[error(transparent)]
     Elevation(#[from] crate::import::elevation::ElevationError),
+    /// It is a city model with a fault.
+    #[cfg(feature = "cityjson")]
+    #[error(transparent)]
+    CityJson(#[from] crate::import::cityjson::CityJsonError),
 }
 
 const EXPECTED: &str = "a 3D Tiles tileset.json, a generated world (city.json, terrain.json, asteroids.json), a folder with one of them, \
-    or an elevation grid (.npz, GeoTIFF)";
+    an elevation grid (.npz, GeoTIFF), or a CityJSON or CityJSONSeq file";
 
 /// What makes a folder a world.
 const INSIDE: [&str; 4] = ["tileset.json", "city.json", "terrain.json", "asteroids.json"];
 
-/// Opens a world, recognised by content: a tileset, a generated world's document, a folder with one of them, or an
-/// elevation grid.
+/// Opens a world, recognised by content: a tileset, a generated world's document, a folder with one of them, an
+/// elevation grid, or a city model in CityJSON or CityJSONSeq.
 pub fn open(path: &Path) -> Result<World, WorldError> {
     let metadata = std::fs::metadata(path).map_err(|source| WorldError::Io { file: path.to_owned(), source })?;
     let file = if metadata.is_dir() {
@@ -212,6 +219,7 @@ pub fn open(path: &Path) -> Result<World, WorldError> {
     }
     match recognise(&head) {
         Content::Generated(format) => open_generated(&file, format),
+        Content::CityJson => open_city_model(&file),
         Content::Json => open_tileset(&file),
         Content::Other(found) => Err(WorldError::Unrecognised { file, found }),
     }
@@ -262,14 +270,25 @@ fn open_generated(file: &Path, format: &'static str) -> Result<World, WorldError
     Err(WorldError::NotBuilt { file: file.to_owned(), kind: format })
 }
 
+#[cfg(feature = "cityjson")]
+fn open_city_model(file: &Path) -> Result<World, WorldError> {
+    Ok(crate::import::cityjson::open(file)?)
+}
+
+#[cfg(not(feature = "cityjson"))]
+fn open_city_model(file: &Path) -> Result<World, WorldError> {
+    Err(WorldError::NotBuilt { file: file.to_owned(), kind: "CityJSON" })
+}
+
 /// How much of a file is looked at to recognise it.
-const HEAD_BYTES: u64 = 512;
+const HEAD_BYTES: u64 = 1 << 16;
 
 /// What the documents of generated worlds say they are.
 const GENERATED: [&str; 3] = ["foresight-city", "foresight-terrain", "foresight-asteroids"];
 
 enum Content {
     Generated(&'static str),
+    CityJson,
     Json,
     Other(String),
 }
@@ -284,13 +303,17 @@ fn recognise(head: &[u8]) -> Content {
     } else if head[0] != b'{' {
         let start = String::from_utf8_lossy(&head[..head.len().min(24)]);
         Content::Other(format!("it begins with {:?}", start.trim_end_matches(char::REPLACEMENT_CHARACTER)))
-    } else if let Some(format) =
-        GENERATED.into_iter().find(|format| head.windows(format.len()).any(|part| part == format.as_bytes()))
-    {
+    } else if let Some(format) = GENERATED.into_iter().find(|format| contains(head, format.as_bytes())) {
         Content::Generated(format)
+    } else if ["\"CityJSON", "\"CityObjects\""].iter().any(|name| contains(head, name.as_bytes())) {
+        Content::CityJson
     } else {
         Content::Json
     }
+}
+
+fn contains(text: &[u8], part: &[u8]) -> bool {
+    text.windows(part.len()).any(|window| window == part)
 }
 
 impl World {

@@ -15,15 +15,19 @@ use foresight_sim::{link, path};
 pub type Parser = fn(&[u8]) -> Result<(), String>;
 
 /// Every parser by the name of its corpus and fuzz target.
-pub const TARGETS: [(&str, Parser); 11] = [
+pub const TARGETS: &[(&str, Parser)] = &[
     ("asteroids", |bytes| outcome(document::parse::<AsteroidParams>(bytes))),
     ("city", |bytes| outcome(document::parse::<CityParams>(bytes))),
     ("content", |bytes| outcome(tiles3d::content_summary(bytes))),
+    ("delay", |bytes| outcome(link::delay::parse("delay", bytes))),
     ("geotiff", |bytes| outcome(elevation::parse_geotiff(bytes))),
+    ("irish5g-link", irish5g_link),
     ("link", |bytes| outcome(link::parse::from_bytes("link", bytes))),
     ("manifest", |bytes| outcome(manifest::parse(bytes))),
     ("npz", |bytes| outcome(elevation::parse_npz(bytes))),
     ("path", |bytes| outcome(path::parse::from_bytes("path", bytes, &path::parse::Options::default()))),
+    ("recording", recording),
+    ("sabre", |bytes| outcome(link::sabre::parse("sabre", bytes))),
     ("subtree", subtree),
     ("terrain", |bytes| outcome(document::parse::<TerrainParams>(bytes))),
     ("tileset", |bytes| outcome(tiles3d::parse_tileset(bytes))),
@@ -45,6 +49,17 @@ pub fn entry(target: &str, bytes: &[u8]) -> Result<(), String> {
 fn subtree(bytes: &[u8]) -> Result<(), String> {
     drop(tiles3d::parse_subtree(bytes, 8, 3, &|_| None));
     outcome(tiles3d::parse_subtree(bytes, 4, 2, &|_| None))
+}
+
+/// A G-NetTrack log as a link: what does not begin with its header is some other link.
+fn irish5g_link(bytes: &[u8]) -> Result<(), String> {
+    outcome(link::parse::from_bytes("irish5g", bytes))
+}
+
+/// As it was recorded, and as a path.
+fn recording(bytes: &[u8]) -> Result<(), String> {
+    drop(path::recording::from_bytes("recording", bytes));
+    outcome(path::recording::path_from_bytes("recording", bytes, &path::parse::Options::default()))
 }
 
 fn outcome<T, E: Display>(result: Result<T, E>) -> Result<(), String> {

@@ -1,5 +1,7 @@
 //! Readers of formats that others define.
 
+#[cfg(feature = "cityjson")]
+pub mod cityjson;
 #[cfg(feature = "elevation")]
 pub mod elevation;
 #[cfg(feature = "tiles3d")]

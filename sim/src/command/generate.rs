@@ -1,5 +1,7 @@
-//! `generate`: worlds of any size.
+//! `generate`: worlds of any size, and recordings of paths.
 
+use super::inputs::{self, PathArgs};
+use anyhow::Context;
 use clap::{Args, Subcommand};
 use foresight_index::generate::asteroids::{self, AsteroidParams};
 use foresight_index::generate::city::CityParams;
@@ -7,14 +9,17 @@ use foresight_index::generate::document::{self, Params};
 use foresight_index::generate::mosaic;
 use foresight_index::generate::terrain::{self, TerrainParams};
 use foresight_index::generate::tileset::Written;
-use std::io::{IsTerminal, Write};
+use foresight_sim::path::recording::Writer;
+use std::ffi::OsString;
+use std::io::{BufWriter, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  foresight-sim generate mosaic --from mars/ --grid 16 --out mars16\n  \
                         foresight-sim generate city --blocks 40 --seed 7 --out city40\n  \
                         foresight-sim generate terrain --size 20km --resolution 10m --out alps\n  \
-                        foresight-sim generate asteroids --catalogue-only --out belt\n\n\
+                        foresight-sim generate asteroids --catalogue-only --out belt\n  \
+                        foresight-sim generate path --path teleport:every=5 --out jumps.jsonl\n\n\
                         The same worlds without a folder: --world city:blocks=40,seed=7, --world terrain:size=20km, --world asteroids:, \
                         --world mosaic:mars/,grid=16")]
 pub(crate) struct GenerateArgs {
@@ -101,6 +106,20 @@ enum What {
         #[command(flatten)]
         out: Out,
     },
+    /// Any path as a recording of our own, placed by no world.
+    Path(Box<PathToRecord>),
+}
+
+#[derive(Debug, Args)]
+struct PathToRecord {
+    /// A recording, or steady, turn, teleport with their options; the built-in flight if not given
+    #[arg(long, value_name = "PATH")]
+    path: Option<String>,
+    #[command(flatten)]
+    path_args: PathArgs,
+    /// File to write, JSON lines; replaced if it exists
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
 }
 
 fn length(text: &str) -> Result<f64, String> {
@@ -150,6 +169,31 @@ pub(crate) fn run(args: GenerateArgs) -> anyhow::Result<()> {
                 geometry(&out.out, asteroids::write(&params, &out.out, &mut |done, all| line.files(done, all)))?;
             }
         }
+        What::Path(args) => record(&args)?,
+    }
+    Ok(())
+}
+
+fn record(args: &PathToRecord) -> anyhow::Result<()> {
+    let path = inputs::open_path(args.path.as_deref(), &args.path_args)?;
+    let samples = inputs::samples(&path, &args.path_args)?;
+    // Beside it first: a recording is there whole or not at all.
+    let mut beside = OsString::from(&args.out);
+    beside.push(".partial");
+    let beside = PathBuf::from(beside);
+    let name = beside.display().to_string();
+    let file = std::fs::File::create(&beside).with_context(|| name.clone())?;
+    let mut writer = Writer::new(&name, BufWriter::new(file), path.frame(), path.up())?;
+    for sample in &samples {
+        writer.push(sample)?;
+    }
+    writer.finish()?;
+    std::fs::rename(&beside, &args.out).with_context(|| args.out.display().to_string())?;
+    let mut out = std::io::stdout();
+    let duration = samples.last().map_or(0.0, |last| last.t);
+    writeln!(out, "{}: {} poses over {duration:.2} s", args.out.display(), samples.len())?;
+    for note in path.notes() {
+        writeln!(out, "  {note}")?;
     }
     Ok(())
 }

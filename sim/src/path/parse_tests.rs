@@ -51,6 +51,7 @@ fn options_overrule_the_motion() {
         camera_axes: Some("+x/+z".parse().unwrap()),
         quat_order: Some("wxyz".parse().unwrap()),
         up: Some("-y".parse().unwrap()),
+        ..Options::default()
     };
     let path = from_bytes("t", b"0 0 0 0 1 0 0 0\n1 0 5 0 1 0 0 0\n", &options).unwrap();
     assert_eq!(path.up(), -DVec3::Y);
@@ -172,7 +173,7 @@ fn recorded_paths_are_read_the_way_they_were_recorded() {
 }
 
 /// A folder of the recordings, or `None` where they are absent and that is allowed.
-fn data(folder: &str) -> Option<PathBuf> {
+pub(super) fn data(folder: &str) -> Option<PathBuf> {
     let root = std::env::var_os("FORESIGHT_DATA")
         .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"), PathBuf::from);
     let folder = root.join(folder);
