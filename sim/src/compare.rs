@@ -312,6 +312,7 @@ fn outcome(name: &str, runs: &[Run]) -> PolicyOutcome {
         bytes_fetched: average(|f| f.bytes_fetched).unwrap_or(0.0),
         bytes_wasted: average(|f| f.bytes_wasted).unwrap_or(0.0),
         bytes_cancelled: average(|f| f.bytes_cancelled).unwrap_or(0.0),
+        failures: average(|f| f.failures).unwrap_or(0.0),
         evictions: average(|f| f.evictions).unwrap_or(0.0),
         decisions: average(|f| f.decisions).unwrap_or(0.0),
         decision_ns: percentiles(&mut nanos),
@@ -341,6 +342,7 @@ struct Figures {
     bytes_fetched: Option<f64>,
     bytes_wasted: Option<f64>,
     bytes_cancelled: Option<f64>,
+    failures: Option<f64>,
     evictions: Option<f64>,
     decisions: Option<f64>,
 }
@@ -366,6 +368,7 @@ impl Figures {
             bytes_fetched: Some(run.bytes_fetched as f64),
             bytes_wasted: Some(run.bytes_wasted as f64),
             bytes_cancelled: Some(run.bytes_cancelled as f64),
+            failures: Some(run.failures as f64),
             evictions: Some(run.evictions as f64),
             decisions: Some(run.decisions as f64),
         }

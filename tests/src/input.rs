@@ -69,6 +69,18 @@ pub fn glb(min: [f32; 3], max: [f32; 3]) -> Vec<u8> {
     bytes
 }
 
+/// The binary glTF with an unknown chunk of zeros at its end, which readers skip, so that it has this many bytes; as it is
+/// if that is less than a chunk's 8 bytes more. The chunk's length need not divide by 4.
+pub fn padded_glb(mut glb: Vec<u8>, bytes: usize) -> Vec<u8> {
+    let Some(zeros) = bytes.checked_sub(glb.len() + 8) else { return glb };
+    for word in [zeros as u32, u32::from_le_bytes(*b"PADD")] {
+        glb.extend_from_slice(&word.to_le_bytes());
+    }
+    glb.resize(bytes, 0);
+    glb[8..12].copy_from_slice(&(bytes as u32).to_le_bytes());
+    glb
+}
+
 /// Writes `path.txt`, and `tileset.json` with the content of its three tiles, into a folder.
 pub fn write_world(folder: &Path) {
     write(folder, "path.txt", PATH);

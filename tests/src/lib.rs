@@ -1,6 +1,7 @@
-//! What the end-to-end tests share: running the built programs, inputs written by the test itself, recorded data, and
-//! the byte-level parsers that the fuzz corpora exercise.
+//! What the end-to-end tests share: running the built programs, inputs written by the test itself, recorded data, the
+//! byte-level parsers that the fuzz corpora exercise, and the comparison with real viewers.
 
+pub mod fidelity;
 pub mod input;
 pub mod parser;
 pub mod program;
@@ -25,13 +26,10 @@ pub fn full() -> Result<(), &'static str> {
 /// # Panics
 /// Where there is none and the environment has `CI=true`.
 pub fn data() -> Option<PathBuf> {
-    let folder = match std::env::var_os("FORESIGHT_DATA") {
-        Some(folder) => PathBuf::from(folder),
-        None => Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"),
-    };
-    if folder.is_dir() {
+    if let Some(folder) = data_folder() {
         return Some(folder);
     }
+    let folder = data_place();
     assert!(
         std::env::var_os("CI").is_none_or(|value| value != "true"),
         "no test data at {}; expected a folder there or in FORESIGHT_DATA",
@@ -39,4 +37,16 @@ pub fn data() -> Option<PathBuf> {
     );
     println!("skipped: no test data at {}", folder.display());
     None
+}
+
+/// The same folder without a word where it is absent.
+pub fn data_folder() -> Option<PathBuf> {
+    Some(data_place()).filter(|folder| folder.is_dir())
+}
+
+fn data_place() -> PathBuf {
+    match std::env::var_os("FORESIGHT_DATA") {
+        Some(folder) => PathBuf::from(folder),
+        None => Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"),
+    }
 }

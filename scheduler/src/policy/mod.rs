@@ -1,6 +1,7 @@
 //! Policies: what to fetch next, each in a file under its published name.
 
 pub mod added_benefit;
+mod downloads;
 pub mod foresight;
 
 /// Declares the module of each rival and lists its [`Rival`].
@@ -15,6 +16,10 @@ macro_rules! rivals {
 rivals! {
     lookahead
     tiles_renderer
+    potree
+    playcanvas
+    two_phase
+    weighted_proxy
 }
 
 use crate::lod_tree::{LodTree, RepId};

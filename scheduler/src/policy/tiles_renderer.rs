@@ -1,4 +1,4 @@
-//! `3d-tiles-renderer`: the loading of NASA-AMMOS 3DTilesRendererJS 0.5.1 with its shipped settings, read from
+//! `3d-tiles-renderer`: the loading of NASA-AMMOS 3DTilesRendererJS 0.5.3 with its shipped settings, read from
 //! `TilesRendererBase.js`, `traverseFunctions.js`, `PriorityQueue.js`, `LRUCache.js` and `three/…/TilesRenderer.js`.
 //!
 //! Once per frame:
@@ -12,7 +12,10 @@
 //!    used. A download that has begun is not aborted by this, only by 3.
 //! 3. *Unload* if the cache is above its lower cap (5 % of it at a time): only unused tiles, unfinished before loaded,
 //!    then oldest last-visited frame, deeper, earlier in loading, lower error.
-//! 4. *Request*, at most 25 in flight: higher error, nearer, shallower.
+//! 4. *Request*: higher error, nearer, shallower; at most 25 that have had no response. `PriorityQueue` waits for what
+//!    `fetch` promises, which is the response's header: bodies still coming hold no slot. How much is under way at once
+//!    is up to the connection, `parallel`: 100 is what HTTP/2 recommends that a server allows at least (RFC 9113, 6.5.2),
+//!    6 what browsers open over HTTP/1.1. What is asked for beyond that waits in the browser, first come first served.
 //!
 //! A failed tile is not asked for again until the cache has dropped it.
 //!
@@ -29,14 +32,13 @@
 //!   shipped, bytes count once a tile is loaded. "Full" is: the next request does not fit. Unused tiles then go at once,
 //!   if that makes room (shipped: when the download has overdrawn the cap). If not, the queue waits for what is on its
 //!   way, and when nothing is, later requests that fit go ahead.
-//! - The shipped queue frees a slot at the response's header; here at the last byte, as its limit is meant.
 //! - Contents have their prerequisites requested first and kept as long as they are used or cached.
 //! - Queue and downloads run within the frame that finds a tile used; shipped, up to one frame later. The queue is made
 //!   anew each frame: only its order of insertion among equals is lost; here the tile first in preorder goes first.
 //! - Of what is drawn, only that is followed which decides on loading; "kicked" tiles are not.
 //! - 5 parses at a time are the decoder's limit, not the policy's.
 
-mod tile;
+pub(crate) mod tile;
 mod traversal;
 mod unload;
 
@@ -59,12 +61,12 @@ const FRAME: Time = Time(16_666_667);
 /// How a comparison offers it.
 pub const RIVAL: Rival = Rival {
     name: "3d-tiles-renderer",
-    about: "the viewer of that name as shipped: 25 downloads, 16 px, its queue's order and its cache",
+    about: "the viewer of that name as shipped: 16 px, 25 unanswered requests, its queue's order and its cache",
     error_target_px: Some(16.0),
-    parallel: 25,
+    parallel: 100,
     build: |tree, settings| {
-        let (error_target_px, max_downloads) = (settings.error_target_px, settings.parallel);
-        let settings = TilesRendererSettings { error_target_px, max_downloads, ..TilesRendererSettings::default() };
+        let (error_target_px, max_streams) = (settings.error_target_px, settings.parallel);
+        let settings = TilesRendererSettings { error_target_px, max_streams, ..TilesRendererSettings::default() };
         Box::new(TilesRenderer::new(tree, settings))
     },
 };
@@ -74,8 +76,10 @@ pub const RIVAL: Rival = Rival {
 pub struct TilesRendererSettings {
     /// `errorTarget`: error on screen at which refinement stops, pixels.
     pub error_target_px: f64,
-    /// `downloadQueue.maxJobs`.
+    /// `downloadQueue.maxJobsPerOrigin`: requests without a response.
     pub max_downloads: usize,
+    /// Requests and responses that the connection carries at once; not the viewer's to set.
+    pub max_streams: usize,
     /// `lruCache.maxSize`: no tile is admitted at this many.
     pub max_items: usize,
     /// `lruCache.minSize`: unused tiles are unloaded above this many.
@@ -91,6 +95,7 @@ impl Default for TilesRendererSettings {
         TilesRendererSettings {
             error_target_px: 16.0,
             max_downloads: 25,
+            max_streams: 100,
             max_items: 8000,
             min_items: 6000,
             min_bytes_share: 0.75,
@@ -157,7 +162,9 @@ pub struct TilesRenderer {
     next_frame: Time,
     /// Tiles with a content requested, loaded or failed.
     cached: Vec<u32>,
-    /// Contents on their way or being decoded.
+    /// Contents asked for that the connection does not carry yet, in order.
+    waiting: VecDeque<RepId>,
+    /// Contents asked for and not loaded yet, waiting ones included.
     pending: Vec<RepId>,
     used: Vec<u32>,
     used_last_frame: Vec<u32>,
@@ -184,6 +191,7 @@ impl TilesRenderer {
             due: false,
             next_frame: Time::ZERO,
             cached: Vec::new(),
+            waiting: VecDeque::new(),
             pending: Vec::new(),
             used: Vec::new(),
             used_last_frame: Vec::new(),
@@ -220,7 +228,10 @@ impl TilesRenderer {
                 }
             }
         }
-        self.pending.retain(|&r| matches!(state.status(r), Status::InFlight | Status::Arrived));
+        let waiting = &self.waiting;
+        self.pending.retain(|&r| {
+            matches!(state.status(r), Status::InFlight | Status::Arrived) || waiting.contains(&r)
+        });
         let traversal = Traversal {
             tree: state.tree,
             frustum: Frustum::new(view),
@@ -248,7 +259,7 @@ impl TilesRenderer {
             }
             let (error, distance) = (visit.error, visit.distance);
             for &rep in &self.contents[tile.first_content as usize..tile.end_content as usize] {
-                if state.status(rep) == Status::Absent {
+                if state.status(rep) == Status::Absent && !self.waiting.contains(&rep) {
                     self.queue.push(Queued { error, distance, depth: tile.depth, tile: id, rep });
                 }
                 let mut needed = state.tree.prerequisite(rep);
@@ -266,15 +277,30 @@ impl TilesRenderer {
         }
     }
 
+    /// Requests on their way that are not about to be cancelled, and how many of them have had no response.
+    fn under_way(&self, state: &ClientState) -> (usize, usize) {
+        let is_cancelled = |rep| self.actions.iter().any(|a| matches!(a, Action::Cancel(c) if *c == rep));
+        let requests = state.requests().iter().filter(|r| !is_cancelled(r.rep));
+        requests.fold((0, 0), |(all, unanswered), r| (all + 1, unanswered + usize::from(r.responded.is_none())))
+    }
+
     fn free_slots(&self, state: &ClientState) -> usize {
-        self.settings.max_downloads.saturating_sub(state.requests().len())
+        self.settings.max_downloads.saturating_sub(self.under_way(state).1 + self.waiting.len())
+    }
+
+    /// What waiting requests will take.
+    fn waiting_bytes(&self, state: &ClientState) -> u64 {
+        self.waiting.iter().map(|&r| state.request_bytes(r)).sum()
+    }
+
+    fn free_bytes(&self, state: &ClientState) -> u64 {
+        state.free_bytes().saturating_sub(self.waiting_bytes(state))
     }
 
     /// `tryRunJobs` of the download queue.
     fn request(&mut self, state: &ClientState, freed: u64) {
-        let cancelled = self.actions.iter().filter(|a| matches!(a, Action::Cancel(_))).count();
-        let mut slots = self.free_slots(state) + cancelled;
-        let mut free = state.free_bytes() + freed;
+        let mut slots = self.free_slots(state);
+        let mut free = self.free_bytes(state) + freed;
         let mut queue = core::mem::take(&mut self.queue);
         let mut sorted = 0;
         let mut next = 0;
@@ -302,7 +328,7 @@ impl TilesRenderer {
             let bytes = state.request_bytes(rep);
             if bytes <= free {
                 (free, slots) = (free - bytes, slots - 1);
-                self.actions.push_back(Action::Fetch { rep, discard_on_arrival: Vec::new() });
+                self.waiting.push_back(rep);
                 self.pending.push(rep);
                 self.add_to_cache(self.tile_of[rep.index()]);
             } else if self.pending.is_empty() {
@@ -315,6 +341,10 @@ impl TilesRenderer {
             }
         }
         self.queue = queue;
+        let streams = self.settings.max_streams.saturating_sub(self.under_way(state).0);
+        for rep in self.waiting.drain(..streams.min(self.waiting.len())) {
+            self.actions.push_back(Action::Fetch { rep, discard_on_arrival: Vec::new() });
+        }
     }
 }
 

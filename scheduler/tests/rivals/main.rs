@@ -1,5 +1,9 @@
 //! The rival policies, driven through the scheduler.
 
 mod lookahead;
+mod playcanvas;
+mod potree;
 mod session;
 mod tiles_renderer;
+mod two_phase;
+mod weighted_proxy;

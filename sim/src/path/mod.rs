@@ -4,16 +4,23 @@ mod axes;
 mod built_in;
 mod facts;
 mod frame;
+pub mod head;
 mod import;
 pub mod look;
 pub mod parse;
 pub mod place;
+pub mod recording;
+pub mod teleport;
 pub mod turn;
 
+#[cfg(test)]
+mod head_tests;
 #[cfg(test)]
 mod parse_tests;
 #[cfg(test)]
 mod path_tests;
+#[cfg(test)]
+mod recording_tests;
 
 use glam::{DMat3, DQuat, DVec3};
 
@@ -41,6 +48,12 @@ const GAP_STEPS: f64 = 10.0;
 /// … or of more than this many seconds, unless the median step is more than half of that.
 const GAP_SECONDS: f64 = 2.0;
 
+/// A jump is a step of at most this many seconds (1 ms, and the rounding of times), and of at most this share of the median step …
+const JUMP_SECONDS: f64 = 1.000_001e-3;
+const JUMP_STEPS: f64 = 0.1;
+/// … across which the camera is more than this many times as fast as in the median step.
+const JUMP_SPEEDS: f64 = 100.0;
+
 /// Why there is no path.
 #[derive(Debug, thiserror::Error)]
 pub enum PathError {
@@ -56,7 +69,8 @@ pub enum PathError {
     #[error(
         "{name}, line {line}: `{found}` is not a supported path format; expected TUM lines (`t x y z qx qy qz qw`), an \
          EyeNavGS table (a header with ViewIndex, PositionX, …), GPX, IGC, KML, ADS-B JSON (a list of records), a folder \
-         of comma2k19 or a G-NetTrack table (a header with Timestamp, Longitude, Latitude, …)"
+         of comma2k19, a G-NetTrack table (a header with Timestamp, Longitude, Latitude, …) or a foresight-recording (JSON \
+         lines)"
     )]
     Unsupported {
         /// The file.
@@ -120,7 +134,9 @@ pub struct Pose {
 /// Between poses the position follows the cubic Hermite curve whose tangents are centred differences,
 /// (p_{i+1} − p_{i−1}) / (t_{i+1} − t_{i−1}), one-sided at the ends and beside a gap; the orientation goes along the
 /// shortest arc at constant speed. A *gap* is a step of more than 10 median steps, or of more than 2 s where the
-/// median step is at most half of that; across it the position goes straight, so that nothing overshoots.
+/// median step is at most half of that; across it the position goes straight, so that nothing overshoots. A *jump* is
+/// a step of at most 1 ms and a tenth of the median step, faster than 100 times the median speed: a teleport, or a cut.
+/// The pose before it holds until it ends, and the motion on either side is as if the other were not there.
 /// Before its start and after its end the camera rests, unless the path is looped.
 #[derive(Clone, Debug)]
 pub struct CameraPath {
@@ -134,6 +150,8 @@ pub struct CameraPath {
     median_step: f64,
     /// A longer step is a gap, seconds.
     gap: f64,
+    /// A step of at most so many seconds, faster than so many metres a second, is a jump.
+    jump: (f64, f64),
     looped: bool,
 }
 
@@ -155,8 +173,20 @@ impl CameraPath {
             notes: Vec::new(),
             median_step: 0.0,
             gap: f64::INFINITY,
+            jump: (0.0, 0.0),
             looped: false,
         };
+        path.check()?;
+        path.find_gaps();
+        Ok(path)
+    }
+
+    /// Other poses in the same frame, under the same name, without notes but those on gaps and jumps.
+    ///
+    /// # Errors
+    /// As [`CameraPath::new`].
+    pub fn with_poses(&self, poses: Vec<Pose>) -> Result<CameraPath, PathError> {
+        let mut path = CameraPath { poses, notes: Vec::new(), looped: false, ..self.clone() };
         path.check()?;
         path.find_gaps();
         Ok(path)
@@ -221,6 +251,21 @@ impl CameraPath {
                 self.gap
             ));
         }
+        let speed = |pair: &[Pose]| pair[0].position.distance(pair[1].position) / (pair[1].time - pair[0].time);
+        let mut speeds: Vec<f64> = self.poses.windows(2).map(speed).collect();
+        let median_speed = *speeds.select_nth_unstable_by(middle, f64::total_cmp).1;
+        self.jump = (JUMP_SECONDS.min(JUMP_STEPS * median), JUMP_SPEEDS * median_speed);
+        let jumps = (1..self.poses.len()).filter(|&i| self.jumps_to(i)).count();
+        if jumps > 0 {
+            self.notes.push(format!("{jumps} jumps within {:.3} ms", self.jump.0 * 1e3));
+        }
+    }
+
+    /// Whether the camera jumps from the pose before to pose `i`.
+    pub fn jumps_to(&self, i: usize) -> bool {
+        let Some([a, b]) = i.checked_sub(1).and_then(|before| self.poses.get(before..=i)) else { return false };
+        let step = b.time - a.time;
+        step <= self.jump.0 && a.position.distance(b.position) > self.jump.1 * step
     }
 
     /// The path as named.
@@ -287,6 +332,9 @@ impl CameraPath {
         let Some(i) = next.checked_sub(1) else { return (self.poses[0].position, self.poses[0].orientation) };
         let a = self.poses[i];
         let Some(b) = self.poses.get(next) else { return (a.position, a.orientation) };
+        if self.jumps_to(next) {
+            return (a.position, a.orientation);
+        }
         let step = b.time - a.time;
         let u = (time - a.time) / step;
         let chord = b.position - a.position;
@@ -297,11 +345,11 @@ impl CameraPath {
         (a.position + chord * u + bend, shortest_arc(a.orientation, b.orientation, u))
     }
 
-    /// Tangent at pose `i` times `step`: centred difference, one-sided at an end or beside a gap.
+    /// Tangent at pose `i` times `step`: centred difference, one-sided at an end, beside a gap or beside a jump.
     fn tangent_step(&self, i: usize, step: f64) -> DVec3 {
-        let is_gap = |a: usize, b: usize| self.poses[b].time - self.poses[a].time > self.gap;
-        let before = if i == 0 || is_gap(i - 1, i) { i } else { i - 1 };
-        let after = if i + 1 == self.poses.len() || is_gap(i, i + 1) { i } else { i + 1 };
+        let is_break = |b: usize| self.poses[b].time - self.poses[b - 1].time > self.gap || self.jumps_to(b);
+        let before = if i == 0 || is_break(i) { i } else { i - 1 };
+        let after = if i + 1 == self.poses.len() || is_break(i + 1) { i } else { i + 1 };
         if before == after {
             return DVec3::ZERO;
         }

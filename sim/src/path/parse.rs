@@ -5,7 +5,7 @@ use std::path::Path;
 use super::axes::{Axis, CameraAxes, QuatOrder};
 use super::import::{self, is_array, is_folder};
 use super::look::{Look, apply};
-use super::{CameraPath, PathError};
+use super::{CameraPath, PathError, recording};
 
 pub use super::import::Format;
 
@@ -60,12 +60,16 @@ pub fn is_path_like(file: &Path) -> bool {
 ///   not later than the one before are dropped; quaternions of a length within 10⁻² of 1 are renormalised; both are
 ///   counted in the notes, and so is what was chosen from the motion;
 /// - GPX, IGC, KML, ADS-B JSON and G-NetTrack tables: paths on the Earth, whose cameras look along the motion where the
-///   file does not say otherwise.
+///   file does not say otherwise;
+/// - a recording of ours, see [`recording`].
 ///
 /// # Errors
 /// [`PathError`] names the place and what was expected there.
 pub fn from_bytes(name: &str, bytes: &[u8], options: &Options) -> Result<CameraPath, PathError> {
     check(name, bytes)?;
+    if recording::is_recording(bytes) {
+        return looking(recording::path_from_bytes(name, bytes, options)?, options);
+    }
     looking(import::read(name, bytes, options)?, options)
 }
 

@@ -7,30 +7,30 @@ const NONE: u32 = u32::MAX;
 
 /// A tile, by its place in preorder.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Tile {
-    pub(super) node: NodeId,
-    pub(super) parent: u32,
-    pub(super) subtree_end: u32,
+pub(crate) struct Tile {
+    pub(crate) node: NodeId,
+    pub(crate) parent: u32,
+    pub(crate) subtree_end: u32,
     /// Its contents are `contents[first_content..end_content]`.
-    pub(super) first_content: u32,
-    pub(super) end_content: u32,
+    pub(crate) first_content: u32,
+    pub(crate) end_content: u32,
     /// Number of tiles with content from the root to here (`depthFromRenderedParent`).
-    pub(super) depth: u32,
+    pub(crate) depth: u32,
     /// Geometric error, metres; ∞ without content.
-    pub(super) error: f64,
+    pub(crate) error: f64,
     /// Refined whatever its error on screen (`unconditionallyRefine`).
-    pub(super) unconditional: bool,
+    pub(crate) unconditional: bool,
 }
 
 impl Tile {
     /// Nothing to load.
-    pub(super) fn is_empty(&self) -> bool {
+    pub(crate) fn is_empty(&self) -> bool {
         self.first_content == self.end_content
     }
 }
 
 /// The tiles in preorder, their contents in the order of the tiles, and each representation's tile.
-pub(super) fn tiles_of(tree: &LodTree) -> (Vec<Tile>, Vec<RepId>, Vec<u32>) {
+pub(crate) fn tiles_of(tree: &LodTree) -> (Vec<Tile>, Vec<RepId>, Vec<u32>) {
     let mut tiles: Vec<Tile> = Vec::with_capacity(tree.nodes());
     let mut contents: Vec<RepId> = Vec::with_capacity(tree.representations());
     let mut tile_of = vec![NONE; tree.representations()];
@@ -78,4 +78,16 @@ pub(super) fn tiles_of(tree: &LodTree) -> (Vec<Tile>, Vec<RepId>, Vec<u32>) {
         tile.subtree_end = first_tile[tree.subtree_end(tile.node).index()];
     }
     (tiles, contents, tile_of)
+}
+
+/// Per tile, whether all that lies beneath it is beneath a descendant for which `shows` holds.
+pub(crate) fn shown_beneath(tiles: &[Tile], shows: impl Fn(&Tile) -> bool) -> Vec<bool> {
+    let mut shown: Vec<bool> = (0u32..).zip(tiles).map(|(id, tile)| tile.subtree_end > id + 1).collect();
+    for id in (0..tiles.len()).rev() {
+        let parent = tiles[id].parent as usize;
+        if parent < id && !shown[id] && !shows(&tiles[id]) {
+            shown[parent] = false;
+        }
+    }
+    shown
 }

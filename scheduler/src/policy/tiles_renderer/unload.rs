@@ -10,7 +10,8 @@ impl TilesRenderer {
         if core::mem::take(&mut self.may_have_gone) {
             self.forget_absent(state);
         }
-        let on_the_way: u64 = self.pending.iter().map(|&r| state.request_bytes(r)).sum();
+        let sent = self.pending.iter().filter(|r| !self.waiting.contains(r));
+        let on_the_way: u64 = sent.map(|&r| state.request_bytes(r)).sum();
         let cached_bytes = state.used_bytes().saturating_sub(on_the_way) as f64;
         let min_bytes = self.settings.min_bytes_share * state.budget as f64;
         let items = self.cached.len() + self.queue.len();
@@ -18,7 +19,7 @@ impl TilesRenderer {
             Some(head) if self.free_slots(state) > 0 => state.request_bytes(first_missing(state, head.rep)),
             _ => 0,
         };
-        let shortage = head_bytes.saturating_sub(state.free_bytes());
+        let shortage = head_bytes.saturating_sub(self.free_bytes(state));
         if cached_bytes <= min_bytes && items <= self.settings.min_items && shortage == 0 {
             return 0;
         }
@@ -29,9 +30,11 @@ impl TilesRenderer {
         if !unused.is_empty() {
             unused.sort_by_cached_key(|&id| self.unload_key(state, id));
         }
+        let waiting_bytes = self.waiting_bytes(state);
         let freed = self.unload_in_order(state, &unused, cached_bytes, min_bytes, items, shortage);
         self.unused = unused;
-        freed
+        // What no longer waits is free already.
+        freed - (waiting_bytes - self.waiting_bytes(state))
     }
 
     fn unload_in_order(
@@ -78,7 +81,10 @@ impl TilesRenderer {
                 match status {
                     Status::Resident => self.actions.push_back(Action::Discard(rep)),
                     Status::InFlight => self.actions.push_back(Action::Cancel(rep)),
-                    _ => {}
+                    _ => {
+                        self.waiting.retain(|&waits| waits != rep);
+                        self.may_have_gone = true;
+                    }
                 }
                 let needed = state.tree.prerequisite(rep).filter(|p| self.tile_of[p.index()] != id);
                 if let (Status::Resident | Status::InFlight, Some(p)) = (status, needed) {
@@ -95,8 +101,8 @@ impl TilesRenderer {
     fn unload_key(&self, state: &ClientState, id: u32) -> (bool, u32, u32, u8, u64) {
         let visit = &self.visits[id as usize];
         let progress = self.contents(id).iter().map(|&r| match state.status(r) {
-            Status::Absent => 0,
-            Status::InFlight => 1,
+            Status::Absent if !self.waiting.contains(&r) => 0,
+            Status::Absent | Status::InFlight => 1,
             Status::Arrived => 2,
             Status::Resident | Status::Doomed => 3,
         });
@@ -137,7 +143,8 @@ impl TilesRenderer {
     }
 
     fn bytes_freed(&self, state: &ClientState, id: u32) -> u64 {
-        let in_flight = self.contents(id).iter().filter(|&&r| state.status(r) == Status::InFlight);
+        let asked = |r| state.status(r) == Status::InFlight || self.waiting.contains(&r);
+        let in_flight = self.contents(id).iter().filter(|&&r| asked(r));
         self.loaded_bytes(state, id) + in_flight.map(|&r| state.request_bytes(r)).sum::<u64>()
     }
 
@@ -145,8 +152,8 @@ impl TilesRenderer {
     fn forget_absent(&mut self, state: &ClientState) {
         let mut cached = core::mem::take(&mut self.cached);
         cached.retain(|&id| {
-            let present =
-                self.visits[id as usize].failed || self.contents(id).iter().any(|&r| state.status(r) != Status::Absent);
+            let is_here = |&r: &_| state.status(r) != Status::Absent || self.waiting.contains(&r);
+            let present = self.visits[id as usize].failed || self.contents(id).iter().any(is_here);
             self.visits[id as usize].cached = present;
             present
         });

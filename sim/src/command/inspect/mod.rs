@@ -7,7 +7,8 @@ mod world;
 use super::inputs::{self, PathArgs};
 use anyhow::bail;
 use clap::Args;
-use foresight_index::world::World;
+use foresight_index::specification;
+use foresight_index::world::{World, WorldError};
 use foresight_scheduler::benefit::cut::CutSettings;
 use foresight_sim::link::LinkTrace;
 use foresight_sim::outcome::regime;
@@ -34,7 +35,10 @@ enum Input {
 
 /// Tries the three kinds; if none fits, says why each does not. A table of positions and bitrates is a path and a link.
 fn recognise(file: &str, args: &PathArgs) -> anyhow::Result<Vec<Input>> {
-    let generated = ["constant:", "steady", "turn"].iter().any(|p| file.starts_with(p));
+    if specification::is_specification(file) {
+        return Ok(vec![Input::World(Box::new(inputs::world_named(file)?))]);
+    }
+    let generated = file.starts_with("constant:") || inputs::MADE_PATHS.iter().any(|made| file.starts_with(made));
     if !generated && !Path::new(file.split(',').next().unwrap_or(file)).exists() {
         bail!("{file}: no such file or directory; expected a world, a path or a link");
     }
@@ -42,7 +46,7 @@ fn recognise(file: &str, args: &PathArgs) -> anyhow::Result<Vec<Input>> {
     if (path.is_dir() || path.extension().is_some_and(|e| e == "json")) && !is_path_like(path) {
         return Ok(vec![Input::World(Box::new(foresight_index::world::open(path)?))]);
     }
-    let as_path = inputs::open_path(Some(file), args);
+    let as_path = inputs::open_vehicle(Some(file), args);
     let as_link = || foresight_sim::link::parse::from_specification(file);
     match as_path {
         Ok(path) => {
@@ -53,6 +57,7 @@ fn recognise(file: &str, args: &PathArgs) -> anyhow::Result<Vec<Input>> {
             Ok(link) => Ok(vec![Input::Link(link)]),
             Err(link_error) => match foresight_index::world::open(path) {
                 Ok(world) => Ok(vec![Input::World(Box::new(world))]),
+                Err(error @ WorldError::Elevation(_)) => Err(error.into()),
                 Err(_) => bail!("{file} is neither a path ({path_error:#}) nor a link ({link_error})"),
             },
         },
@@ -71,7 +76,7 @@ pub(crate) fn run(args: &InspectArgs) -> anyhow::Result<()> {
                 }
                 Input::Path(path) => {
                     path::describe(&mut out, file, &path)?;
-                    paths.push(path);
+                    paths.push(inputs::carry_head(path, &args.path_args)?);
                 }
                 Input::Link(link) => {
                     link::describe(&mut out, file, &link)?;

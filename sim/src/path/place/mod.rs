@@ -102,7 +102,6 @@ pub fn into_world(
     placement: Option<Placement>,
     world: &World,
 ) -> Result<(CameraPath, Placement), PathError> {
-    let whole = |message: String| PathError::Whole { name: path.name.clone(), message };
     let mut away = None;
     if placement.is_none() && path.frame != Frame::Local && world.georeference.is_some() {
         match geo::place(path, None, world) {
@@ -116,9 +115,8 @@ pub fn into_world(
         return Ok((geo::place(path, height, world)?.path, placement));
     }
     let centre = world.tree.bounds(world.tree.root()).centre();
-    let ground_height = world
-        .ground_height(centre)
-        .ok_or_else(|| whole(format!("world {}: no ground under its centre", world.name)))?;
+    // Without a ground, as in space, heights count from the world's middle.
+    let ground_height = world.ground_height(centre).unwrap_or_else(|| centre.dot(world.up));
     let mut placed = place(path, &placement, &Site { centre, up: world.up, ground_height })?;
     if let Some(reason) = away {
         placed.add_note(format!("placed over the world's centre: {reason}"));
