@@ -1,11 +1,16 @@
 //! The height of the ground under a position, as far as a world's leaves tell it.
 
-use std::sync::OnceLock;
+mod surface;
+
+use std::fmt::Debug;
+use std::sync::{Arc, OnceLock};
 
 use foresight_scheduler::lod_tree::{LodTree, NodeId};
 use glam::{DVec2, DVec3};
 use rstar::primitives::{GeomWithData, Rectangle};
 use rstar::{AABB, RTree};
+
+pub use surface::GroundSurface;
 
 /// A leaf's bounds seen along `up`, with its height above the datum.
 type Footprint = GeomWithData<Rectangle<[f64; 2]>, f32>;
@@ -17,6 +22,18 @@ pub enum Ground {
     Flat(f64),
     /// A height per leaf.
     Leaves(LeafHeights),
+    /// Triangles.
+    Triangles(GroundSurface),
+    /// A height at every place, in a world where z is up.
+    Surface(Arc<dyn Surface>),
+    /// None: a world in space.
+    Absent,
+}
+
+/// A surface over the plane z = 0.
+pub trait Surface: Debug + Send + Sync {
+    /// The height over a place that is finite, metres.
+    fn height(&self, at: DVec2) -> f64;
 }
 
 /// The mean height of each leaf's vertices, and an R-tree over the leaves' footprints that is built at the first use.
@@ -41,14 +58,17 @@ impl Ground {
     /// The height of the ground under or over `at`, metres along the unit vector `up`. Of the leaves whose footprint
     /// holds the position the lowest counts; where there is none, the one with the nearest footprint. The footprint is
     /// that of the leaf's bounds on the plane across `up`, so on a planet it holds near the place where `up` was taken.
-    /// `None` without leaves, or if `at` is not finite.
+    /// Of triangles, see [`GroundSurface`]. `None` without leaves or ground, or if `at` is not finite.
     pub fn height(&self, tree: &LodTree, up: DVec3, at: DVec3) -> Option<f64> {
         if !at.is_finite() {
             return None;
         }
         let leaves = match self {
             Ground::Flat(height) => return Some(*height),
+            Ground::Surface(surface) => return Some(surface.height(at.truncate())),
+            Ground::Absent => return None,
             Ground::Leaves(leaves) => leaves,
+            Ground::Triangles(surface) => return surface.height(up, at),
         };
         let index = leaves.index.get_or_init(|| footprints(tree, up, &leaves.above_datum));
         let point = across(up, at).to_array();

@@ -3,11 +3,18 @@
 //! [`world::open`] takes whatever is recognised; [`world::World`] is what everything else works on. The crate decides
 //! nothing about what to fetch and knows no clock.
 
+#[cfg(feature = "cityjson")]
+pub mod format;
 pub mod generate;
 pub mod geodesy;
 pub mod ground;
 pub mod import;
 #[cfg(feature = "tiles3d")]
 pub mod manifest;
+#[cfg(feature = "cityjson")]
+mod mesh;
+pub mod specification;
+#[cfg(feature = "terrain")]
+pub mod terrain;
 pub mod uris;
 pub mod world;

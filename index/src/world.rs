@@ -43,6 +43,14 @@ pub enum WorldKind {
     Mosaic,
     /// A generated city.
     City,
+    /// A city model in CityJSON or CityJSONSeq.
+    CityJson,
+    /// Terrain from a grid of heights.
+    Terrain,
+    /// Generated terrain.
+    GeneratedTerrain,
+    /// Generated models in space.
+    Asteroids,
 }
 
 impl fmt::Display for WorldKind {
@@ -51,6 +59,10 @@ impl fmt::Display for WorldKind {
             WorldKind::Tiles3d => "3D Tiles",
             WorldKind::Mosaic => "mosaic of 3D Tiles",
             WorldKind::City => "generated city",
+            WorldKind::CityJson => "CityJSON",
+            WorldKind::Terrain => "elevation grid",
+            WorldKind::GeneratedTerrain => "generated terrain",
+            WorldKind::Asteroids => "generated asteroids",
         })
     }
 }
@@ -158,23 +170,42 @@ pub enum WorldError {
     #[cfg(feature = "tiles3d")]
     #[error(transparent)]
     Tiles3d(#[from] crate::import::tiles3d::Tiles3dError),
-    /// It is a generated city with a fault.
-    #[cfg(feature = "city")]
+    /// It is a generated world with a fault.
+    #[cfg(feature = "generated")]
     #[error(transparent)]
-    City(#[from] crate::generate::city::CityError),
+    Generated(#[from] crate::generate::document::GenerateError),
+    /// It is a mosaic that cannot be made.
+    #[cfg(feature = "tiles3d")]
+    #[error(transparent)]
+    Mosaic(Box<crate::generate::mosaic::MosaicError>),
+    /// What names it is at fault.
+    #[error(transparent)]
+    Specification(#[from] crate::specification::SpecificationError),
+    /// It is an elevation grid with a fault.
+    #[cfg(feature = "elevation")]
+    #[error(transparent)]
+    Elevation(#[from] crate::import::elevation::ElevationError),
+    /// It is a city model with a fault.
+    #[cfg(feature = "cityjson")]
+    #[error(transparent)]
+    CityJson(#[from] crate::import::cityjson::CityJsonError),
 }
 
-const EXPECTED: &str = "a 3D Tiles tileset.json, a generated city.json, or a folder with one of them";
+const EXPECTED: &str = "a 3D Tiles tileset.json, a generated world (city.json, terrain.json, asteroids.json), a folder with one of them, \
+    an elevation grid (.npz, GeoTIFF), or a CityJSON or CityJSONSeq file";
 
-/// Opens a world, recognised by content: a folder with a `tileset.json` or a generated `city.json`, or such a file.
+/// What makes a folder a world.
+const INSIDE: [&str; 4] = ["tileset.json", "city.json", "terrain.json", "asteroids.json"];
+
+/// Opens a world, recognised by content: a tileset, a generated world's document, a folder with one of them, an
+/// elevation grid, or a city model in CityJSON or CityJSONSeq.
 pub fn open(path: &Path) -> Result<World, WorldError> {
     let metadata = std::fs::metadata(path).map_err(|source| WorldError::Io { file: path.to_owned(), source })?;
     let file = if metadata.is_dir() {
-        let inside = ["tileset.json", "city.json"].map(|name| path.join(name));
-        let found = inside.into_iter().find(|file| file.is_file());
+        let found = INSIDE.into_iter().map(|name| path.join(name)).find(|file| file.is_file());
         found.ok_or_else(|| WorldError::Unrecognised {
             file: path.to_owned(),
-            found: "a folder with neither tileset.json nor city.json".to_owned(),
+            found: format!("a folder with none of {}", INSIDE.join(", ")),
         })?
     } else {
         path.to_owned()
@@ -182,8 +213,13 @@ pub fn open(path: &Path) -> Result<World, WorldError> {
     let io = |source| WorldError::Io { file: file.clone(), source };
     let mut head = Vec::new();
     File::open(&file).map_err(io)?.take(HEAD_BYTES).read_to_end(&mut head).map_err(io)?;
+    #[cfg(feature = "elevation")]
+    if let Some(format) = crate::import::elevation::format(&head) {
+        return Ok(crate::import::elevation::open(&file, format)?);
+    }
     match recognise(&head) {
-        Content::City => open_city(&file),
+        Content::Generated(format) => open_generated(&file, format),
+        Content::CityJson => open_city_model(&file),
         Content::Json => open_tileset(&file),
         Content::Other(found) => Err(WorldError::Unrecognised { file, found }),
     }
@@ -206,21 +242,53 @@ fn open_tileset(file: &Path) -> Result<World, WorldError> {
     Err(WorldError::NotBuilt { file: file.to_owned(), kind: "3D Tiles" })
 }
 
-#[cfg(feature = "city")]
-fn open_city(file: &Path) -> Result<World, WorldError> {
-    Ok(crate::generate::city::open(file)?)
+/// The kinds of generated worlds by what their documents say they are, with how they are opened.
+#[cfg(feature = "generated")]
+fn generated(format: &str) -> Option<fn(&Path) -> Result<World, crate::generate::document::GenerateError>> {
+    use crate::generate::document;
+    match format {
+        #[cfg(feature = "city")]
+        "foresight-city" => Some(document::open::<crate::generate::city::CityParams>),
+        #[cfg(feature = "terrain")]
+        "foresight-terrain" => Some(document::open::<crate::generate::terrain::TerrainParams>),
+        #[cfg(feature = "asteroids")]
+        "foresight-asteroids" => Some(document::open::<crate::generate::asteroids::AsteroidParams>),
+        _ => None,
+    }
 }
 
-#[cfg(not(feature = "city"))]
-fn open_city(file: &Path) -> Result<World, WorldError> {
-    Err(WorldError::NotBuilt { file: file.to_owned(), kind: "generated cities" })
+#[cfg(feature = "generated")]
+fn open_generated(file: &Path, format: &'static str) -> Result<World, WorldError> {
+    match generated(format) {
+        Some(open) => Ok(open(file)?),
+        None => Err(WorldError::NotBuilt { file: file.to_owned(), kind: format }),
+    }
+}
+
+#[cfg(not(feature = "generated"))]
+fn open_generated(file: &Path, format: &'static str) -> Result<World, WorldError> {
+    Err(WorldError::NotBuilt { file: file.to_owned(), kind: format })
+}
+
+#[cfg(feature = "cityjson")]
+fn open_city_model(file: &Path) -> Result<World, WorldError> {
+    Ok(crate::import::cityjson::open(file)?)
+}
+
+#[cfg(not(feature = "cityjson"))]
+fn open_city_model(file: &Path) -> Result<World, WorldError> {
+    Err(WorldError::NotBuilt { file: file.to_owned(), kind: "CityJSON" })
 }
 
 /// How much of a file is looked at to recognise it.
-const HEAD_BYTES: u64 = 512;
+const HEAD_BYTES: u64 = 1 << 16;
+
+/// What the documents of generated worlds say they are.
+const GENERATED: [&str; 3] = ["foresight-city", "foresight-terrain", "foresight-asteroids"];
 
 enum Content {
-    City,
+    Generated(&'static str),
+    CityJson,
     Json,
     Other(String),
 }
@@ -235,11 +303,17 @@ fn recognise(head: &[u8]) -> Content {
     } else if head[0] != b'{' {
         let start = String::from_utf8_lossy(&head[..head.len().min(24)]);
         Content::Other(format!("it begins with {:?}", start.trim_end_matches(char::REPLACEMENT_CHARACTER)))
-    } else if head.windows(14).any(|part| part == b"foresight-city") {
-        Content::City
+    } else if let Some(format) = GENERATED.into_iter().find(|format| contains(head, format.as_bytes())) {
+        Content::Generated(format)
+    } else if ["\"CityJSON", "\"CityObjects\""].iter().any(|name| contains(head, name.as_bytes())) {
+        Content::CityJson
     } else {
         Content::Json
     }
+}
+
+fn contains(text: &[u8], part: &[u8]) -> bool {
+    text.windows(part.len()).any(|window| window == part)
 }
 
 impl World {
@@ -341,7 +415,7 @@ mod tests {
     fn a_folder_with_nothing_known() {
         let folder = tempfile::tempdir().unwrap();
         let message = open(folder.path()).unwrap_err().to_string();
-        assert!(message.contains("neither tileset.json nor city.json"), "{message}");
+        assert!(message.contains("none of tileset.json, city.json"), "{message}");
         std::fs::write(folder.path().join("city.json"), "").unwrap();
         let message = open(folder.path()).unwrap_err().to_string();
         assert!(message.contains("city.json: nothing in it; expected"), "{message}");

@@ -10,8 +10,9 @@
 //!
 //! Every λ ≥ 0 gives a valid bound (weak duality); the inner maximum over sets R is solved exactly by dynamic programming
 //! over the tree: what a subtree is worth depends on what lies outside only through the least error above it. Relaxed
-//! upwards: requests, latency, decoding, prerequisites and sibling groups cost nothing, and beneath a group too small to
-//! open, any part can be shown perfectly at the least bytes per weight that any representation there has.
+//! upwards: requests, latency (constant or varying), failed requests, decoding, prerequisites and sibling groups cost
+//! nothing, and beneath a group too small to open, any part can be shown perfectly at the least bytes per weight that any
+//! representation there has.
 
 use foresight_scheduler::benefit::accuracy::accuracy;
 use foresight_scheduler::benefit::cut::{Cut, projected_area};

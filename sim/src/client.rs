@@ -13,11 +13,13 @@ pub struct ClientSettings {
     pub decode_workers: usize,
     /// Decoded bytes uploaded per tick (1/60 s). What is larger takes several.
     pub upload_bytes_per_tick: u64,
+    /// Once a second the client announces where its camera will be for so many seconds; 0 for a client that does not.
+    pub announce_s: f64,
 }
 
 impl Default for ClientSettings {
     fn default() -> ClientSettings {
-        ClientSettings { decode_rate: 200e6, decode_workers: 2, upload_bytes_per_tick: 8 << 20 }
+        ClientSettings { decode_rate: 200e6, decode_workers: 2, upload_bytes_per_tick: 8 << 20, announce_s: 0.0 }
     }
 }
 
@@ -52,6 +54,21 @@ impl Pipeline {
         let done = now.max(self.workers[first]) + work;
         self.workers[first] = done;
         self.decoding.push_back((rep, done));
+    }
+
+    /// What has arrived and cannot be shown yet.
+    pub fn waiting(&self) -> impl Iterator<Item = RepId> + '_ {
+        self.decoding.iter().map(|&(rep, _)| rep)
+    }
+
+    /// Drops what can be shown no more; the time that it took or takes a worker stays spent. False if it is not here.
+    pub fn give_up(&mut self, rep: RepId) -> bool {
+        let Some(place) = self.decoding.iter().position(|&(r, _)| r == rep) else { return false };
+        self.decoding.remove(place);
+        if place == 0 {
+            self.uploaded = 0;
+        }
+        true
     }
 
     /// Uploads within one tick's budget; `ready` says whether a representation's prerequisite can be shown already, and
@@ -102,7 +119,12 @@ mod tests {
     #[test]
     fn workers_share_the_decoding_and_uploads_are_spread() {
         let tree = tree(&[1000, 1000, 1000, 2500]);
-        let settings = ClientSettings { decode_rate: 1000.0, decode_workers: 2, upload_bytes_per_tick: 1000 };
+        let settings = ClientSettings {
+            decode_rate: 1000.0,
+            decode_workers: 2,
+            upload_bytes_per_tick: 1000,
+            ..ClientSettings::default()
+        };
         let mut pipeline = Pipeline::new(settings);
         for rep in 0..4 {
             pipeline.arrived(&tree, RepId(rep), Time::ZERO);

@@ -177,11 +177,20 @@ pub fn compare(
     if nonempty == 0 {
         warnings.push("nothing is ever in view: quality is undefined; place the path elsewhere".to_owned());
     } else if pressure.rho < RHO_WARNED {
-        warnings.push(format!(
-            "ρ = {:.3}: the link delivers more than {:.0} times what the path needs, so policies cannot differ after start-up",
-            pressure.rho,
-            1.0 / RHO_WARNED
-        ));
+        let times = 1.0 / RHO_WARNED;
+        warnings.push(if pressure.mu < 1.0 {
+            format!(
+                "ρ = {:.3}: the link delivers more than {times:.0} times what the path needs, so policies differ after start-up \
+                 only by what they keep in a memory of μ = {:.2}",
+                pressure.rho, pressure.mu
+            )
+        } else {
+            format!(
+                "ρ = {:.3}: the link delivers more than {times:.0} times what the path needs, so policies cannot differ after \
+                 start-up",
+                pressure.rho
+            )
+        });
     }
     let shown: Vec<(&str, &Run)> =
         outcomes.iter().map(|(outcome, p)| (outcome.name.as_str(), &by_policy[*p][0])).collect();
@@ -303,6 +312,7 @@ fn outcome(name: &str, runs: &[Run]) -> PolicyOutcome {
         bytes_fetched: average(|f| f.bytes_fetched).unwrap_or(0.0),
         bytes_wasted: average(|f| f.bytes_wasted).unwrap_or(0.0),
         bytes_cancelled: average(|f| f.bytes_cancelled).unwrap_or(0.0),
+        failures: average(|f| f.failures).unwrap_or(0.0),
         evictions: average(|f| f.evictions).unwrap_or(0.0),
         decisions: average(|f| f.decisions).unwrap_or(0.0),
         decision_ns: percentiles(&mut nanos),
@@ -332,6 +342,7 @@ struct Figures {
     bytes_fetched: Option<f64>,
     bytes_wasted: Option<f64>,
     bytes_cancelled: Option<f64>,
+    failures: Option<f64>,
     evictions: Option<f64>,
     decisions: Option<f64>,
 }
@@ -357,6 +368,7 @@ impl Figures {
             bytes_fetched: Some(run.bytes_fetched as f64),
             bytes_wasted: Some(run.bytes_wasted as f64),
             bytes_cancelled: Some(run.bytes_cancelled as f64),
+            failures: Some(run.failures as f64),
             evictions: Some(run.evictions as f64),
             decisions: Some(run.decisions as f64),
         }

@@ -58,6 +58,12 @@ pub struct Inputs {
     pub refinement: String,
     /// Whether the first view's needs were resident at the start.
     pub warm: bool,
+    /// Seconds of its path that the client announced, if it did.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub announce_s: Option<f64>,
+    /// The recorded head that rode on the path, if one did.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub head: Option<String>,
     /// Seed of everything random.
     pub seed: u64,
     /// Offsets into the link, seconds, one a replay; the first replay's series are drawn.
@@ -166,6 +172,8 @@ pub struct PolicyOutcome {
     pub bytes_wasted: f64,
     /// Bytes that had crossed the link when their request was cancelled.
     pub bytes_cancelled: f64,
+    /// Requests that failed, those included that were given up because what they need first failed.
+    pub failures: f64,
     /// Representations discarded.
     pub evictions: f64,
     /// Times the policy was asked and chose to do something.

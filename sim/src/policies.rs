@@ -5,8 +5,9 @@ use crate::link::LinkTrace;
 use foresight_scheduler::lod_tree::LodTree;
 use foresight_scheduler::policy::foresight::{Discards, Foresight, ForesightSettings};
 use foresight_scheduler::policy::{Policy, RIVALS, Rival, RivalSettings, added_benefit};
-use foresight_scheduler::predict::{Predictor, PredictorKind, known_path::KnownPath};
+use foresight_scheduler::predict::{PredictedPath, Predictor, PredictorKind, known_path::KnownPath};
 use foresight_scheduler::units::Time;
+use foresight_scheduler::view::View;
 
 /// Names in the order of the comparison: those that follow the objective around the rivals of [`RIVALS`].
 pub fn names() -> impl Iterator<Item = &'static str> + Clone {
@@ -72,13 +73,18 @@ const OBJECTIVE_OPTIONS: &str = "alpha, predictor, discards, arrival, cover, hor
                                  samples, opening, falloff, tolerance, slack, turn-rate, speed or request-cost";
 
 impl PolicySpec {
-    /// Parses a list separated by commas, or `all`. `alpha` is the default of those that have one.
-    pub fn parse_list(list: &str, alpha: f64, error_target_px: f64) -> Result<Vec<PolicySpec>, PolicySpecError> {
+    /// Parses a list separated by commas, or `all`. `alpha` is the default of those that have one; `error_target_px`
+    /// that of the rivals that have one, instead of what each ships with.
+    pub fn parse_list(
+        list: &str,
+        alpha: f64,
+        error_target_px: Option<f64>,
+    ) -> Result<Vec<PolicySpec>, PolicySpecError> {
         let list = if list == "all" { names().collect::<Vec<_>>().join(",") } else { list.to_owned() };
         list.split(',').map(|spec| PolicySpec::parse(spec.trim(), alpha, error_target_px)).collect()
     }
 
-    fn parse(spec: &str, alpha: f64, error_target_px: f64) -> Result<PolicySpec, PolicySpecError> {
+    fn parse(spec: &str, alpha: f64, error_target_px: Option<f64>) -> Result<PolicySpec, PolicySpecError> {
         let mut parts = spec.split(':');
         let given = parts.next().unwrap_or_default();
         let name = names().find(|n| *n == given).ok_or_else(|| PolicySpecError::Name(given.to_owned()))?;
@@ -92,7 +98,7 @@ impl PolicySpec {
             label: spec.to_owned(),
             name,
             settings,
-            error_target_px,
+            error_target_px: error_target_px.or_else(|| rival(name)?.error_target_px).unwrap_or_default(),
             parallel: None,
             true_path: name == "clairvoyant",
         };
@@ -189,8 +195,7 @@ impl PolicySpec {
             None if self.true_path => {
                 let path: Vec<_> =
                     flight.views.iter().enumerate().map(|(i, view)| (tick_time(i as u64), *view)).collect();
-                let mut predictor = KnownPath::default();
-                predictor.announce_path(&path);
+                let predictor = TruePath::new(&path);
                 let policy = Foresight::with_predictor(self.label.clone(), self.settings, Box::new(predictor));
                 if self.name == "clairvoyant" {
                     let link = link.shifted(start);
@@ -204,9 +209,32 @@ impl PolicySpec {
     }
 }
 
-/// Seconds until the link has delivered `bytes` after a request at `now`; at most an hour.
+/// Predicts the path that is flown, whatever the client announces.
+struct TruePath(KnownPath);
+
+impl TruePath {
+    fn new(path: &[(Time, View)]) -> TruePath {
+        let mut known = KnownPath::default();
+        known.announce_path(path);
+        TruePath(known)
+    }
+}
+
+impl Predictor for TruePath {
+    fn observe(&mut self, view: &View, now: Time) {
+        self.0.observe(view, now);
+    }
+
+    fn predict(&self, now: Time, offsets: &[f64]) -> Vec<PredictedPath> {
+        self.0.predict(now, offsets)
+    }
+}
+
+/// Seconds until the link has delivered `bytes` after a request at `now`, at the round trip there; at most an hour. That a
+/// request may fail is not known to it.
 fn seconds_until(link: &LinkTrace, now: Time, bytes: u64) -> f64 {
-    let from = now + link.rtt();
+    let rtt = link.rtt_at(now);
+    let from = now + rtt;
     let (mut low, mut high) = (0u64, 3_600_000_000_000u64);
     // To the millisecond: finer than any decision resolves.
     while high - low > 1_000_000 {
@@ -217,5 +245,5 @@ fn seconds_until(link: &LinkTrace, now: Time, bytes: u64) -> f64 {
             low = middle;
         }
     }
-    link.rtt().secs() + Time(high).secs()
+    rtt.secs() + Time(high).secs()
 }

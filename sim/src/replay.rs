@@ -5,7 +5,7 @@
 //! tick the frame is judged by what can be shown.
 
 use crate::client::{ClientSettings, Pipeline};
-use crate::flight::{Flight, TICKS_PER_FRAME, tick_time};
+use crate::flight::{Flight, TICKS_PER_FRAME, TICKS_PER_SECOND, tick_time};
 use crate::link::LinkTrace;
 use crate::link::shared::SharedLink;
 use crate::stopwatch::Stopwatch;
@@ -16,7 +16,7 @@ use foresight_scheduler::policy::Policy;
 use foresight_scheduler::scheduler::{Action, Scheduler, SchedulerError, SchedulerSettings};
 use foresight_scheduler::state::Status;
 use foresight_scheduler::units::Time;
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Actions that a policy may take in one tick before it is called runaway.
 const ACTIONS_PER_TICK_MAX: usize = 100_000;
@@ -111,6 +111,10 @@ pub struct Run {
     pub cancellations: u64,
     /// Of the bytes that crossed the link, those of requests that were cancelled.
     pub bytes_cancelled: u64,
+    /// Of these, bytes of requests that failed, or that were given up because what they need first failed.
+    pub bytes_failed: u64,
+    /// Such requests.
+    pub failures: u64,
     /// Bytes of requests still under way at the end.
     pub bytes_unfinished: u64,
     /// Discards.
@@ -126,7 +130,8 @@ pub struct Run {
 struct Transfer {
     id: u64,
     rep: RepId,
-    joins: Time,
+    /// It breaks off at its end on the link.
+    fails: bool,
 }
 
 /// The state of one replay between ticks.
@@ -136,9 +141,13 @@ struct Replay<'a> {
     link: SharedLink,
     pipeline: Pipeline,
     transfers: Vec<Transfer>,
-    /// Transfers that have not had their first byte, in order of time.
-    joining: VecDeque<Transfer>,
+    /// Transfers that have not had their first byte, by the time when it comes, then by id.
+    joining: BTreeMap<(Time, u64), RepId>,
     next_id: u64,
+    /// How often each was requested, on a link on which requests fail.
+    attempts: BTreeMap<RepId, u64>,
+    /// Up to which tick the client has announced its path.
+    announced: usize,
     /// Simulator's own account of memory, independent of the scheduler's.
     held: u64,
     /// Whether each was the best of something in view since it was last fetched, or was there from the start.
@@ -155,8 +164,10 @@ pub fn replay<'a>(stage: Stage<'a>, policy: Box<dyn Policy + 'a>) -> Result<Run,
         link: SharedLink::new(stage.link, stage.link_start),
         pipeline: Pipeline::new(stage.client),
         transfers: Vec::new(),
-        joining: VecDeque::new(),
+        joining: BTreeMap::new(),
         next_id: 0,
+        attempts: BTreeMap::new(),
+        announced: 0,
         held: 0,
         was_best: vec![false; stage.tree.representations()],
         run: Run::default(),
@@ -200,6 +211,7 @@ impl Replay<'_> {
         let total = self.link.total_delivered();
         self.scheduler.progress(in_flight, total, now)?;
 
+        self.announce(tick as usize)?;
         let watch = Stopwatch::start();
         self.scheduler.observe(&self.stage.flight.views[tick as usize], now)?;
         let mut acted = 0;
@@ -233,7 +245,13 @@ impl Replay<'_> {
         for &(id, at) in &arrivals {
             self.respond(at)?;
             let Some(place) = self.transfers.iter().position(|t| t.id == id) else { continue };
-            let rep = self.transfers.remove(place).rep;
+            let Transfer { rep, fails, .. } = self.transfers.remove(place);
+            if fails {
+                self.run.bytes_failed += self.link.delivered(id);
+                self.held -= self.stage.tree.wire_bytes(rep);
+                self.fail(rep, at)?;
+                continue;
+            }
             for doomed in self.scheduler.arrived(rep, at)? {
                 self.discard(doomed);
             }
@@ -245,13 +263,57 @@ impl Replay<'_> {
     }
 
     fn respond(&mut self, until: Time) -> Result<(), Failure> {
-        while let Some(first) = self.joining.front().copied().filter(|t| t.joins <= until) {
-            self.joining.pop_front();
+        while let Some(first) = self.joining.first_entry().filter(|first| first.key().0 <= until) {
+            let ((joins, id), rep) = first.remove_entry();
             // Cancelled ones are gone from the list of transfers.
-            if self.transfers.iter().any(|t| t.id == first.id) {
-                self.scheduler.responded(first.rep, first.joins)?;
+            if self.transfers.iter().any(|t| t.id == id) {
+                self.scheduler.responded(rep, joins)?;
             }
         }
+        Ok(())
+    }
+
+    /// Reports a transfer that broke off, and gives up what needs it and is on its way or waits to be shown.
+    fn fail(&mut self, rep: RepId, at: Time) -> Result<(), Failure> {
+        self.run.failures += 1;
+        self.scheduler.failed(rep, at)?;
+        let tree = self.stage.tree;
+        if !tree.has_prerequisites() {
+            return Ok(());
+        }
+        // What is needed first has the lower id: one pass in order finds all that hangs on it.
+        let under_way: BTreeSet<RepId> = self.transfers.iter().map(|t| t.rep).chain(self.pipeline.waiting()).collect();
+        let mut lost = BTreeSet::from([rep]);
+        for rep in under_way {
+            if !tree.prerequisite(rep).is_some_and(|p| lost.contains(&p)) {
+                continue;
+            }
+            lost.insert(rep);
+            self.held -= tree.wire_bytes(rep);
+            if self.pipeline.give_up(rep) {
+                self.held -= tree.decoded_bytes(rep);
+                self.run.bytes_failed += tree.wire_bytes(rep);
+            } else if let Some(place) = self.transfers.iter().position(|t| t.rep == rep) {
+                let transfer = self.transfers.remove(place);
+                self.run.bytes_failed += self.link.cancel(transfer.id, self.link.now());
+            }
+            self.run.failures += 1;
+            self.scheduler.failed(rep, at)?;
+        }
+        Ok(())
+    }
+
+    /// Once a second tells the scheduler the path ahead, as far as this client announces it, until its end is known.
+    fn announce(&mut self, tick: usize) -> Result<(), Failure> {
+        let views = &self.stage.flight.views;
+        let seconds = self.stage.client.announce_s;
+        if seconds <= 0.0 || !(tick as u64).is_multiple_of(TICKS_PER_SECOND) || self.announced == views.len() {
+            return Ok(());
+        }
+        let ahead = libm::ceil(seconds * TICKS_PER_SECOND as f64) as usize;
+        self.announced = tick.saturating_add(ahead).saturating_add(1).min(views.len());
+        let path: Vec<_> = (tick..self.announced).map(|t| (tick_time(t as u64), views[t])).collect();
+        self.scheduler.announce_path(&path)?;
         Ok(())
     }
 
@@ -279,14 +341,27 @@ impl Replay<'_> {
     }
 
     fn fetch(&mut self, rep: RepId, now: Time) {
-        let transfer = Transfer { id: self.next_id, rep, joins: now + self.stage.link.rtt() };
+        let id = self.next_id;
         self.next_id += 1;
         let bytes = self.stage.tree.wire_bytes(rep);
-        self.link.start(transfer.id, bytes, now);
+        let breaks_after = self.breaks_after(rep, bytes);
+        // The moment at which the link lets it join.
+        let joins = now + self.link.trace().rtt_at(now);
+        self.link.start(id, breaks_after.unwrap_or(bytes), now);
         self.held += bytes;
-        self.transfers.push(transfer);
-        self.joining.push_back(transfer);
+        self.transfers.push(Transfer { id, rep, fails: breaks_after.is_some() });
+        self.joining.insert((joins, id), rep);
         self.run.requests.push(Request { at: now, rep });
+    }
+
+    fn breaks_after(&mut self, rep: RepId, bytes: u64) -> Option<u64> {
+        let trace = self.link.trace();
+        if trace.loss() <= 0.0 {
+            return None;
+        }
+        let attempts = self.attempts.entry(rep).or_default();
+        *attempts += 1;
+        trace.breaks_after(u64::from(rep.0), *attempts, bytes)
     }
 
     fn cancel(&mut self, rep: RepId, now: Time) {

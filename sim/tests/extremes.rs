@@ -10,7 +10,7 @@ use foresight_sim::bound::{CheapestBeneath, FrameBound, Limits};
 use foresight_sim::client::ClientSettings;
 use foresight_sim::flight::{Flight, TICKS_PER_FRAME, tick_time};
 use foresight_sim::link::LinkTrace;
-use foresight_sim::policies::{PolicySpec, names};
+use foresight_sim::policies::{PolicySpec, names, rival};
 use foresight_sim::replay::{Run, Stage, replay};
 use glam::{DQuat, DVec3};
 
@@ -59,9 +59,8 @@ fn replay_all(tree: &LodTree, flight: &Flight, link: &LinkTrace, budget: u64, op
     let mut runs = Vec::new();
     for refinement in [Refinement::Partial, Refinement::Atomic] {
         for name in names() {
-            let has_options = !matches!(name, "lookahead" | "3d-tiles-renderer");
-            let text = format!("{name}{}", if has_options { options } else { "" });
-            let spec = PolicySpec::parse_list(&text, 0.7, 16.0).unwrap().remove(0);
+            let text = format!("{name}{}", if rival(name).is_none() { options } else { "" });
+            let spec = PolicySpec::parse_list(&text, 0.7, None).unwrap().remove(0);
             let scheduler = SchedulerSettings { refinement, ..SchedulerSettings::with_budget(budget) };
             let stage = Stage {
                 tree,

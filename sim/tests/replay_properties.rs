@@ -15,7 +15,7 @@ use foresight_sim::bound::{CheapestBeneath, FrameBound, Limits};
 use foresight_sim::client::ClientSettings;
 use foresight_sim::compare::{Memory, Plan, compare};
 use foresight_sim::flight::{Flight, TICKS_PER_FRAME, tick_time};
-use foresight_sim::link::{LinkTrace, RatePiece};
+use foresight_sim::link::{LinkTrace, RatePiece, RttPiece};
 use foresight_sim::outcome::Inputs;
 use foresight_sim::policies::{PolicySpec, names, rival};
 use foresight_sim::replay::{Run, Stage, replay};
@@ -63,7 +63,8 @@ fn flight(tape: &mut Tape) -> Flight {
     Flight { views: views.collect() }
 }
 
-/// Constant, stepped with outages, or with opportunities; from 8 kbit/s to 80 Mbit/s; a round trip up to 0.3 s.
+/// Constant, stepped with outages, or with opportunities; from 8 kbit/s to 80 Mbit/s; a round trip up to 0.3 s, constant
+/// or not; requests that fail never, sometimes, or always.
 fn link(tape: &mut Tape) -> LinkTrace {
     let rtt = Time([20_000_000, 0, 100_000_000, 300_000_000][tape.below(4)]);
     let mut rate = || libm::exp(libm::log(8e3) + tape.unit() * libm::log(1e4)) as u64;
@@ -92,7 +93,20 @@ fn link(tape: &mut Tape) -> LinkTrace {
             LinkTrace::from_opportunities("opportunities", &[&milliseconds[..], &[last]].concat(), rtt)
         }
     };
-    made.expect("what was drawn is a link")
+    let mut made = made.expect("what was drawn is a link");
+    if tape.below(3) == 2 {
+        let mut from = Time::ZERO;
+        let pieces: Vec<RttPiece> = (0..1 + tape.below(20))
+            .map(|_| {
+                let piece = RttPiece { from, rtt: Time(tape.below(300) as u64 * 1_000_000) };
+                from += Time(1 + tape.below(100) as u64 * 1_000_000);
+                piece
+            })
+            .collect();
+        made = made.with_varying_rtt(&pieces, from).expect("times increase");
+    }
+    let loss = [0.0, 0.0, 0.05, 0.5, 1.0][tape.below(5)];
+    made.with_loss(loss, tape.below(1000) as u64).expect("a probability")
 }
 
 /// One of the policies with some of its options.
@@ -110,6 +124,7 @@ fn specification(tape: &mut Tape) -> PolicySpec {
                 ":predictor=constant-turn",
                 ":predictor=kalman",
                 ":predictor=true-path",
+                ":predictor=known-path",
             ],
             &["", ":discards=lru"],
             &["", ":arrival=off"],
@@ -130,7 +145,7 @@ fn specification(tape: &mut Tape) -> PolicySpec {
     for choices in options {
         text += choices[tape.below(choices.len())];
     }
-    PolicySpec::parse_list(&text, 0.7, 16.0).expect("the options exist").remove(0)
+    PolicySpec::parse_list(&text, 0.7, None).expect("the options exist").remove(0)
 }
 
 /// Everything of a replay but the policy.
@@ -160,6 +175,7 @@ impl World {
             decode_rate: [200e6, 1e6, 1e4][tape.below(3)],
             decode_workers: 1 + tape.below(3),
             upload_bytes_per_tick: [8 << 20, 10_000, 1][tape.below(3)],
+            announce_s: [0.0, 0.5, 100.0][tape.below(3)],
         };
         let scheduler = SchedulerSettings {
             refinement: [Refinement::Partial, Refinement::Atomic][tape.below(2)],
@@ -257,6 +273,10 @@ impl Policy for Watched<'_> {
     fn failed(&mut self, state: &ClientState, rep: RepId, now: Time) {
         self.inner.failed(state, rep, now);
     }
+
+    fn announce_path(&mut self, path: &[(Time, View)]) {
+        self.inner.announce_path(path);
+    }
 }
 
 proptest! {
@@ -275,15 +295,18 @@ proptest! {
         prop_assert!(run.memory.iter().all(|&used| used <= world.scheduler.budget));
 
         let shown: u64 = run.completions.iter().map(|c| world.tree.wire_bytes(c.rep)).sum();
-        let accounted = shown + decoding + run.bytes_cancelled + run.bytes_unfinished;
+        let accounted = shown + decoding + run.bytes_cancelled + run.bytes_failed + run.bytes_unfinished;
         // Parts of bytes are rounded down for each transfer that did not end.
-        let rounded = accounted..=accounted + world.tree.representations() as u64 * frames as u64;
+        let ended_early = world.tree.representations() as u64 * frames as u64 + run.failures;
+        let rounded = accounted..=accounted + ended_early;
         prop_assert!(rounded.contains(&run.bytes_fetched), "{} of {}: {}", accounted, run.bytes_fetched, spec.label);
-        if run.bytes_cancelled == 0 {
+        if run.bytes_cancelled == 0 && run.failures == 0 {
             prop_assert!(run.bytes_fetched - accounted <= world.tree.representations() as u64);
         }
         prop_assert!(run.bytes_fetched <= world.deliverable(world.flight.duration()));
-        prop_assert!(run.bytes_wasted + run.bytes_cancelled <= run.bytes_fetched,
+        prop_assert!(world.link.loss() > 0.0 || run.failures == 0);
+        prop_assert!(world.link.loss() < 1.0 || run.completions.is_empty(), "{:?}", run.completions);
+        prop_assert!(run.bytes_wasted + run.bytes_cancelled + run.bytes_failed <= run.bytes_fetched,
             "{} wasted and {} cancelled of {}: {}", run.bytes_wasted, run.bytes_cancelled, run.bytes_fetched, spec.label);
 
         let cheapest = CheapestBeneath::new(&world.tree);
@@ -309,6 +332,7 @@ proptest! {
         prop_assert_eq!(&run.completions, &again.completions);
         prop_assert_eq!(&run.memory, &again.memory);
         prop_assert_eq!((run.bytes_fetched, run.bytes_wasted, run.evictions), (again.bytes_fetched, again.bytes_wasted, again.evictions));
+        prop_assert_eq!((run.failures, run.bytes_failed), (again.failures, again.bytes_failed));
     }
 }
 
@@ -357,7 +381,7 @@ proptest! {
     fn threads_change_nothing(tape in tape()) {
         let mut tape = Tape::new(tape);
         let world = World::new(&mut tape);
-        let mut policies = PolicySpec::parse_list("all", 0.7, 16.0).expect("the policies exist");
+        let mut policies = PolicySpec::parse_list("all", 0.7, None).expect("the policies exist");
         policies.push(specification(&mut tape));
         let one = document(&world, &policies, 1);
         prop_assert!(all_finite(&one));

@@ -2,22 +2,41 @@
 
 use std::fmt::Display;
 
-use foresight_index::generate::city;
+use foresight_index::generate::asteroids::AsteroidParams;
+use foresight_index::generate::city::CityParams;
+use foresight_index::generate::document;
+use foresight_index::generate::terrain::TerrainParams;
+use foresight_index::import::elevation;
 use foresight_index::import::tiles3d;
 use foresight_index::manifest;
+use foresight_sim::path::parse::{Format, Options};
 use foresight_sim::{link, path};
 
 /// A parser: accepted, or refused with its message.
 pub type Parser = fn(&[u8]) -> Result<(), String>;
 
 /// Every parser by the name of its corpus and fuzz target.
-pub const TARGETS: [(&str, Parser); 7] = [
-    ("city", |bytes| outcome(city::parse(bytes))),
+pub const TARGETS: &[(&str, Parser)] = &[
+    ("adsb", |bytes| path_as(Format::AdsB, bytes)),
+    ("asteroids", |bytes| outcome(document::parse::<AsteroidParams>(bytes))),
+    ("city", |bytes| outcome(document::parse::<CityParams>(bytes))),
+    ("comma2k19", comma2k19),
     ("content", |bytes| outcome(tiles3d::content_summary(bytes))),
+    ("delay", |bytes| outcome(link::delay::parse("delay", bytes))),
+    ("geotiff", |bytes| outcome(elevation::parse_geotiff(bytes))),
+    ("gpx", |bytes| path_as(Format::Gpx, bytes)),
+    ("igc", |bytes| path_as(Format::Igc, bytes)),
+    ("irish5g", |bytes| path_as(Format::Irish5g, bytes)),
+    ("irish5g-link", irish5g_link),
+    ("kml", |bytes| path_as(Format::Kml, bytes)),
     ("link", |bytes| outcome(link::parse::from_bytes("link", bytes))),
     ("manifest", |bytes| outcome(manifest::parse(bytes))),
+    ("npz", |bytes| outcome(elevation::parse_npz(bytes))),
     ("path", |bytes| outcome(path::parse::from_bytes("path", bytes, &path::parse::Options::default()))),
+    ("recording", recording),
+    ("sabre", |bytes| outcome(link::sabre::parse("sabre", bytes))),
     ("subtree", subtree),
+    ("terrain", |bytes| outcome(document::parse::<TerrainParams>(bytes))),
     ("tileset", |bytes| outcome(tiles3d::parse_tileset(bytes))),
 ];
 
@@ -37,6 +56,34 @@ pub fn entry(target: &str, bytes: &[u8]) -> Result<(), String> {
 fn subtree(bytes: &[u8]) -> Result<(), String> {
     drop(tiles3d::parse_subtree(bytes, 8, 3, &|_| None));
     outcome(tiles3d::parse_subtree(bytes, 4, 2, &|_| None))
+}
+
+/// A G-NetTrack log as a link: what does not begin with its header is some other link.
+fn irish5g_link(bytes: &[u8]) -> Result<(), String> {
+    outcome(link::parse::from_bytes("irish5g", bytes))
+}
+
+/// As it was recorded, and as a path.
+fn recording(bytes: &[u8]) -> Result<(), String> {
+    drop(path::recording::from_bytes("recording", bytes));
+    outcome(path::recording::path_from_bytes("recording", bytes, &Options::default()))
+}
+
+/// A path in a format of its own.
+fn path_as(format: Format, bytes: &[u8]) -> Result<(), String> {
+    outcome(path::parse::from_bytes_as(format, "path", bytes, &Options::default()))
+}
+
+/// Three arrays one after the other, each behind its length in 4 bytes.
+fn comma2k19(bytes: &[u8]) -> Result<(), String> {
+    let mut rest = bytes;
+    let arrays = [(); 3].map(|()| {
+        let (length, after) = rest.split_first_chunk::<4>().unwrap_or((&[0; 4], &[]));
+        let (array, after) = after.split_at((u32::from_le_bytes(*length) as usize).min(after.len()));
+        rest = after;
+        array
+    });
+    outcome(path::parse::from_arrays("path", arrays, &Options::default()))
 }
 
 fn outcome<T, E: Display>(result: Result<T, E>) -> Result<(), String> {

@@ -14,7 +14,7 @@ const DOCUMENT: [&str; 7] =
     ["schema_version", "inputs", "pressure", "nonempty_share", "upper_bound", "policies", "warnings"];
 
 /// Fields of a policy's figures.
-const POLICY: [&str; 13] = [
+const POLICY: [&str; 14] = [
     "name",
     "mean_quality",
     "mean_deficit",
@@ -25,6 +25,7 @@ const POLICY: [&str; 13] = [
     "bytes_fetched",
     "bytes_wasted",
     "bytes_cancelled",
+    "failures",
     "evictions",
     "decisions",
     "decision_ns",

@@ -4,26 +4,18 @@
 //! The tree is an LOD-R-tree: districts in a quadtree, each with simplified geometry whose error doubles from level to
 //! level; then blocks; then buildings with three levels of detail, the finest of which refines the middle one.
 
-use std::path::{Path, PathBuf};
-
 use foresight_scheduler::lod_tree::{Aabb, LodTreeBuilder, LodTreeError, RepId, Representation};
 use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
+use super::document::{GenerateError, Key, ParamError, Params, length, range};
 use super::random::Random;
-use super::staging::Staging;
 use crate::ground::Ground;
 use crate::uris::UriTableBuilder;
 use crate::world::{World, WorldKind};
 
-/// What a city's file says it is.
-pub const FORMAT: &str = "foresight-city";
-/// The version that is read and written. It names the generator too: another version may make another city.
-pub const SCHEMA_VERSION: u32 = 1;
-/// Name of a city's file in its folder.
-pub const FILE_NAME: &str = "city.json";
 /// Most blocks of a city.
-pub const MAX_BLOCKS: u64 = 1 << 17;
+pub const MAX_BLOCKS: u64 = 1 << 19;
 
 /// What a city is made from.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -60,104 +52,44 @@ impl Default for CityParams {
     }
 }
 
-/// Why there is no city.
-#[derive(Debug, thiserror::Error)]
-pub enum CityError {
-    /// A file cannot be read or written.
-    #[error("{}: {source}", file.display())]
-    Io {
-        /// The file.
-        file: PathBuf,
-        /// Why not.
-        source: std::io::Error,
-    },
-    /// A city's file is at fault.
-    #[error("{}: {source}", file.display())]
-    File {
-        /// The file.
-        file: PathBuf,
-        /// The fault.
-        source: CityFileError,
-    },
-    /// A parameter is out of range.
-    #[error(transparent)]
-    Param(#[from] CityParamError),
-    /// The tree cannot be built.
-    #[error("the generated city: {0}")]
-    Tree(#[from] LodTreeError),
-}
+impl Params for CityParams {
+    const FORMAT: &'static str = "foresight-city";
+    const SCHEMA_VERSION: u32 = 1;
+    const FILE_NAME: &'static str = "city.json";
+    const KEYS: &'static [Key<CityParams>] = &[
+        Key {
+            name: "blocks",
+            expected: "blocks along each side",
+            set: |params, text| {
+                let blocks = text.parse().ok()?;
+                (params.blocks_x, params.blocks_y) = (blocks, blocks);
+                Some(())
+            },
+        },
+        Key { name: "seed", expected: "a whole number", set: |params, text| Some(params.seed = text.parse().ok()?) },
+        Key {
+            name: "pitch",
+            expected: "a length such as 100m",
+            set: |params, text| Some(params.pitch = length(text)?),
+        },
+        Key {
+            name: "street",
+            expected: "a length such as 14m",
+            set: |params, text| Some(params.street = length(text)?),
+        },
+        Key {
+            name: "tower-height",
+            expected: "a length such as 160m",
+            set: |params, text| Some(params.tower_height = length(text)?),
+        },
+        Key {
+            name: "park-share",
+            expected: "a number from 0 to 1",
+            set: |params, text| Some(params.park_share = text.parse().ok()?),
+        },
+    ];
 
-/// A parameter out of range.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("{name} is {value}; expected {expected}")]
-pub struct CityParamError {
-    name: &'static str,
-    value: f64,
-    expected: String,
-}
-
-/// A fault in a city's file.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("{place}: {fault}")]
-pub struct CityFileError {
-    /// JSON path, or line and column.
-    pub place: String,
-    /// What is there, and what was expected.
-    pub fault: String,
-}
-
-#[derive(Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct CityFile {
-    format: String,
-    schema_version: u32,
-    params: CityParams,
-}
-
-/// Reads the parameters in a city's file.
-pub fn parse(bytes: &[u8]) -> Result<CityParams, CityFileError> {
-    let file: CityFile = serde_json::from_slice(bytes).map_err(|error| CityFileError {
-        place: format!("line {}, column {}", error.line(), error.column()),
-        fault: error.to_string(),
-    })?;
-    let fault = |place: &str, fault: String| Err(CityFileError { place: place.to_owned(), fault });
-    if file.format != FORMAT {
-        return fault("$.format", format!("{:?}; expected {FORMAT:?}", file.format));
-    }
-    if file.schema_version != SCHEMA_VERSION {
-        return fault("$.schema_version", format!("{}; expected {SCHEMA_VERSION}", file.schema_version));
-    }
-    match file.params.check() {
-        Ok(()) => Ok(file.params),
-        Err(error) => fault(&format!("$.params.{}", error.name), error.to_string()),
-    }
-}
-
-/// Opens the city that a file describes.
-pub fn open(file: &Path) -> Result<World, CityError> {
-    let bytes = std::fs::read(file).map_err(|source| CityError::Io { file: file.to_owned(), source })?;
-    let params = parse(&bytes).map_err(|source| CityError::File { file: file.to_owned(), source })?;
-    city(&params)
-}
-
-/// Writes the folder `out` with a file that describes the city. `out` must not exist or be an empty folder.
-pub fn write(params: &CityParams, out: &Path) -> Result<(), CityError> {
-    params.check()?;
-    let io = |source| CityError::Io { file: out.to_owned(), source };
-    let file = CityFile { format: FORMAT.to_owned(), schema_version: SCHEMA_VERSION, params: params.clone() };
-    let mut text = serde_json::to_string_pretty(&file).map_err(|error| io(error.into()))?;
-    text.push('\n');
-    let staging = Staging::begin(out).map_err(io)?;
-    std::fs::write(staging.place(FILE_NAME).map_err(io)?, text).map_err(io)?;
-    staging.finish().map_err(io)
-}
-
-impl CityParams {
-    fn check(&self) -> Result<(), CityParamError> {
-        let range = |name: &'static str, value: f64, from: f64, to: f64| {
-            let inside = (from..=to).contains(&value);
-            if inside { Ok(()) } else { Err(CityParamError { name, value, expected: format!("{from} to {to}") }) }
-        };
+    fn check(&self) -> Result<(), ParamError> {
         range("blocks_x", f64::from(self.blocks_x), 1.0, 65_536.0)?;
         range("blocks_y", f64::from(self.blocks_y), 1.0, 65_536.0)?;
         let blocks = u64::from(self.blocks_x) * u64::from(self.blocks_y);
@@ -167,10 +99,14 @@ impl CityParams {
         range("tower_height", self.tower_height, 20.0, 1000.0)?;
         range("park_share", self.park_share, 0.0, 1.0)
     }
+
+    fn build(&self) -> Result<World, GenerateError> {
+        city(self)
+    }
 }
 
 /// Builds a city. The same parameters give the same world on every machine.
-pub fn city(params: &CityParams) -> Result<World, CityError> {
+pub fn city(params: &CityParams) -> Result<World, GenerateError> {
     params.check()?;
     let mut city = City { params, builder: LodTreeBuilder::default(), uris: UriTableBuilder::default() };
     city.district([0, params.blocks_x, 0, params.blocks_y])?;
@@ -393,6 +329,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::generate::document;
     use crate::world::{built_in_city, open};
 
     #[test]
@@ -439,16 +376,18 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("small");
         let params = CityParams { blocks_x: 3, blocks_y: 1, seed: u64::MAX, ..CityParams::default() };
-        write(&params, &out).unwrap();
+        document::write(&params, &out).unwrap();
         assert_eq!(open(&out).unwrap().hash(), city(&params).unwrap().hash());
-        assert_eq!(open(&out.join(FILE_NAME)).unwrap().hash(), city(&params).unwrap().hash());
-        assert!(write(&params, &out).unwrap_err().to_string().contains("not empty"));
+        assert_eq!(open(&out.join(CityParams::FILE_NAME)).unwrap().hash(), city(&params).unwrap().hash());
+        assert!(document::write(&params, &out).unwrap_err().to_string().contains("not empty"));
     }
 
     #[test]
     fn refuses_parameters_out_of_range() {
         let with = |text: &str| {
-            parse(format!(r#"{{"format":"foresight-city","schema_version":1,"params":{text}}}"#).as_bytes())
+            document::parse::<CityParams>(
+                format!(r#"{{"format":"foresight-city","schema_version":1,"params":{text}}}"#).as_bytes(),
+            )
         };
         assert_eq!(with(r#"{"seed":7}"#), Ok(CityParams { seed: 7, ..CityParams::default() }));
         for (text, name) in [
@@ -461,8 +400,12 @@ mod tests {
             let error = with(text).unwrap_err().to_string();
             assert!(error.contains(name), "{error}");
         }
-        assert!(parse(br#"{"format":"foresight-town","schema_version":1,"params":{}}"#).is_err());
-        assert!(parse(br#"{"format":"foresight-city","schema_version":9,"params":{}}"#).is_err());
+        assert!(
+            document::parse::<CityParams>(br#"{"format":"foresight-town","schema_version":1,"params":{}}"#).is_err()
+        );
+        assert!(
+            document::parse::<CityParams>(br#"{"format":"foresight-city","schema_version":9,"params":{}}"#).is_err()
+        );
     }
 
     proptest! {

@@ -1,10 +1,22 @@
 //! Worlds of any size, made up from a seed or from a small real world.
 
+#[cfg(feature = "asteroids")]
+pub mod asteroids;
 #[cfg(feature = "city")]
 pub mod city;
+#[cfg(feature = "generated")]
+pub mod document;
+#[cfg(any(feature = "asteroids", feature = "terrain"))]
+mod glb;
 #[cfg(feature = "tiles3d")]
 pub mod mosaic;
-#[cfg(feature = "city")]
+#[cfg(any(feature = "asteroids", feature = "terrain"))]
+mod noise;
+#[cfg(feature = "generated")]
 mod random;
-#[cfg(any(feature = "city", feature = "tiles3d"))]
+#[cfg(any(feature = "generated", feature = "tiles3d"))]
 mod staging;
+#[cfg(feature = "terrain")]
+pub mod terrain;
+#[cfg(any(feature = "asteroids", feature = "terrain"))]
+pub mod tileset;

@@ -1,7 +1,8 @@
 //! A real tileset instanced K × K times on the plane across up, under a quadtree of coarser tiles: a world of any
 //! size in which every size on the wire and in memory is a real one.
 //!
-//! Written are one copy of the source's files, a root tileset, and a manifest by which all instances share that copy.
+//! Written are one copy of the source's files, a root tileset, and a manifest by which all instances share that copy. The
+//! same world can be had in memory, the source read where it lies.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -11,9 +12,9 @@ use glam::DVec3;
 use serde_json::{Value, json};
 
 use super::staging::Staging;
-use crate::import::tiles3d::{self, GltfUp, Tiles3dError};
+use crate::import::tiles3d::{self, GltfUp, MOSAIC_SOURCE, Source, Tiles3dError};
 use crate::manifest::{FORMAT, Manifest, SCHEMA_VERSION};
-use crate::world::{WorldError, WorldKind};
+use crate::world::{World, WorldError, WorldKind};
 
 /// Most instances along one axis.
 pub const MAX_GRID: u32 = 512;
@@ -67,15 +68,17 @@ pub enum MosaicError {
     },
 }
 
-/// Writes the folder `out`, which must not exist or be an empty folder: `source` (a `tileset.json`, or a folder with
-/// one) on a grid of `grid` × `grid`, its instances as far apart as its contents reach. `progress` is told the bytes
-/// copied so far and their sum.
-pub fn mosaic(
-    source: &Path,
-    grid: u32,
-    out: &Path,
-    progress: &mut dyn FnMut(u64, u64),
-) -> Result<MosaicSummary, MosaicError> {
+/// A mosaic that is ready to be written or opened.
+struct Composed {
+    tileset: Value,
+    manifest: Manifest,
+    /// Folder of the source, and its files.
+    folder: PathBuf,
+    files: Vec<String>,
+    summary: MosaicSummary,
+}
+
+fn compose(source: &Path, grid: u32) -> Result<Composed, MosaicError> {
     if !(1..=MAX_GRID).contains(&grid) {
         return Err(MosaicError::Grid(grid));
     }
@@ -85,10 +88,6 @@ pub fn mosaic(
     if opened.world.kind != WorldKind::Tiles3d {
         return Err(MosaicError::Kind { file: root_file, found: format!("a {}", opened.world.kind) });
     }
-    let io = |file: &Path| {
-        let file = file.to_owned();
-        move |source| MosaicError::Io { file, source }
-    };
     let tree = &opened.world.tree;
     // The coarsest content there is: the root's own, else that of the first tile in preorder that has one.
     let coarse = RepId(0);
@@ -111,33 +110,14 @@ pub fn mosaic(
     if tiles > tiles3d::MAX_TILES as u64 {
         return Err(MosaicError::TooMany(tiles));
     }
-
-    let staging = Staging::begin(out).map_err(io(out))?;
-    let sizes = opened.files.iter().map(|file| {
-        let at = opened.folder.join(file);
-        fs::metadata(&at).map(|metadata| metadata.len()).map_err(io(&at))
-    });
-    let total: u64 = sizes.sum::<Result<u64, _>>()?;
-    let mut copied = 0;
-    progress(0, total);
-    for file in &opened.files {
-        let place = staging.place(&format!("source/{file}")).map_err(io(out))?;
-        let from = opened.folder.join(file);
-        // Read and written rather than copied, so that a read-only source does not make read-only copies.
-        let bytes = fs::read(&from).map_err(io(&from))?;
-        fs::write(&place, &bytes).map_err(io(&place))?;
-        copied += bytes.len() as u64;
-        progress(copied, total);
-    }
-    let coarse_content = opened.world.uri(coarse).into_owned();
     let coarse_file = opened.coarse_file;
     let coarse_tiles = stand_ins.len() as u64;
     let manifest = Manifest {
         format: FORMAT.to_owned(),
         schema_version: SCHEMA_VERSION,
         statement: STATEMENT.to_owned(),
-        folders: plan.cells().map(|(x, y)| (format!("cells/{x}_{y}/"), "source/".to_owned())).collect(),
-        stand_ins: stand_ins.into_iter().map(|uri| (uri, format!("source/{coarse_file}"))).collect(),
+        folders: plan.cells().map(|(x, y)| (format!("cells/{x}_{y}/"), MOSAIC_SOURCE.to_owned())).collect(),
+        stand_ins: stand_ins.into_iter().map(|uri| (uri, format!("{MOSAIC_SOURCE}{coarse_file}"))).collect(),
     };
     let up_axis = match opened.gltf_up {
         GltfUp::X => "X",
@@ -151,18 +131,67 @@ pub fn mosaic(
         "geometricError": root_error,
         "root": root,
     });
-    write_json(&staging, "manifest.json", &manifest).map_err(io(out))?;
-    write_json(&staging, "tileset.json", &tileset).map_err(io(out))?;
-    staging.finish().map_err(io(out))?;
-    Ok(MosaicSummary {
+    let summary = MosaicSummary {
         instances,
         coarse_tiles,
         representations,
         pitch: plan.axes.map(|axis| axis.length()),
         files: opened.files.len() as u64,
-        bytes: total,
-        coarse_content,
-    })
+        bytes: 0,
+        coarse_content: opened.world.uri(coarse).into_owned(),
+    };
+    let folder = root_file.parent().map_or_else(PathBuf::new, Path::to_path_buf);
+    Ok(Composed { tileset, manifest, folder, files: opened.files, summary })
+}
+
+/// The world that [`mosaic`] would write, without a file written.
+pub fn in_memory(source: &Path, grid: u32) -> Result<World, MosaicError> {
+    let Composed { tileset, manifest, folder, .. } = compose(source, grid)?;
+    let io = |error: serde_json::Error| MosaicError::Io { file: source.to_owned(), source: error.into() };
+    let tileset = serde_json::to_vec(&tileset).map_err(io)?;
+    let source = Source::Mosaic { tileset, source: folder };
+    let mut world = tiles3d::load_from(source, Some(manifest), "tileset.json", tiles3d::MAX_TILES)
+        .map_err(|error: Tiles3dError| WorldError::from(error))?
+        .world;
+    world.name = format!("mosaic of {grid} × {grid}");
+    Ok(world)
+}
+
+/// Writes the folder `out`, which must not exist or be an empty folder: `source` (a `tileset.json`, or a folder with
+/// one) on a grid of `grid` × `grid`, its instances as far apart as its contents reach. `progress` is told the bytes
+/// copied so far and their sum.
+pub fn mosaic(
+    source: &Path,
+    grid: u32,
+    out: &Path,
+    progress: &mut dyn FnMut(u64, u64),
+) -> Result<MosaicSummary, MosaicError> {
+    let Composed { tileset, manifest, folder, files, summary } = compose(source, grid)?;
+    let io = |file: &Path| {
+        let file = file.to_owned();
+        move |source| MosaicError::Io { file, source }
+    };
+    let staging = Staging::begin(out).map_err(io(out))?;
+    let sizes = files.iter().map(|file| {
+        let at = folder.join(file);
+        fs::metadata(&at).map(|metadata| metadata.len()).map_err(io(&at))
+    });
+    let total: u64 = sizes.sum::<Result<u64, _>>()?;
+    let mut copied = 0;
+    progress(0, total);
+    for file in &files {
+        let place = staging.place(&format!("{MOSAIC_SOURCE}{file}")).map_err(io(out))?;
+        let from = folder.join(file);
+        // Read and written rather than copied, so that a read-only source does not make read-only copies.
+        let bytes = fs::read(&from).map_err(io(&from))?;
+        fs::write(&place, &bytes).map_err(io(&place))?;
+        copied += bytes.len() as u64;
+        progress(copied, total);
+    }
+    write_json(&staging, "manifest.json", &manifest).map_err(io(out))?;
+    write_json(&staging, "tileset.json", &tileset).map_err(io(out))?;
+    staging.finish().map_err(io(out))?;
+    Ok(MosaicSummary { bytes: total, ..summary })
 }
 
 /// What a mosaic says of itself.

@@ -9,9 +9,11 @@
 //! with the predicted paths weighing α and the worst case 1 − α; fetch the best while the pipeline has room; when memory
 //! is full, grow the discards X by least loss per byte and swap only if the gain exceeds (1+η) times their loss; wait if
 //! nothing gains. The terms are sampled anew every D seconds (\[ZK\] §6); between, gains are re-evaluated lazily, which is
-//! exact because they only fall while the resident set grows.
+//! exact because they only fall while the resident set grows. What failed is asked for again after a while that doubles
+//! with each failure.
 
 mod closure;
+mod retry;
 mod settings;
 
 pub use settings::{Discards, ForesightSettings};
@@ -29,6 +31,7 @@ use crate::state::{ClientState, Status};
 use crate::units::Time;
 use crate::view::View;
 use closure::{closure, common_ancestor, needed_by};
+use retry::Retries;
 use std::cmp::Ordering;
 use std::collections::{BinaryHeap, VecDeque};
 
@@ -102,6 +105,7 @@ pub struct Foresight {
     gain: Vec<f64>,
     touched: Vec<RepId>,
     covered: bool,
+    retries: Retries,
     mean_fetch_bytes: f64,
     /// Running mean of the gains of what was chosen; halved when nothing was found to gain.
     typical_gain: f64,
@@ -139,6 +143,7 @@ impl Foresight {
             gain: Vec::new(),
             touched: Vec::new(),
             covered: false,
+            retries: Retries::default(),
             mean_fetch_bytes: 0.0,
             typical_gain: 5e-3,
         }
@@ -234,7 +239,7 @@ impl Foresight {
         let mut ranked = core::mem::take(&mut self.candidates).into_vec();
         ranked.clear();
         for &rep in &self.touched {
-            if state.status(rep) != Status::Absent {
+            if state.status(rep) != Status::Absent || !self.retries.allow(rep, now) {
                 continue;
             }
             let ratio = if alone {
@@ -348,8 +353,9 @@ impl Foresight {
                 continue;
             }
             let members = closure(state, plan, top.rep);
-            // What is doomed can be asked for again only when it is gone.
-            if members.iter().any(|&m| state.status(m) != Status::Absent) {
+            // What is doomed can be asked for again only when it is gone, what failed only after a while.
+            let sampled = self.sampled.unwrap_or(Time::ZERO);
+            if members.iter().any(|&m| state.status(m) != Status::Absent || !self.retries.allow(m, sampled)) {
                 continue;
             }
             let bytes: u64 = members.iter().map(|&m| tree.wire_bytes(m)).sum();
@@ -463,7 +469,7 @@ impl Foresight {
     }
 
     /// At the start: the coarsest representation of what weighs most and is covered by nothing.
-    fn cover(&mut self, state: &ClientState, plan: &Coverage) -> Option<RepId> {
+    fn cover(&mut self, state: &ClientState, plan: &Coverage, now: Time) -> Option<RepId> {
         let tree = state.tree;
         let (gain, touched) = (&mut self.gain, &mut self.touched);
         self.horizon.for_each(tree, plan, 0.0, |patch, _, chain, present| {
@@ -483,6 +489,7 @@ impl Foresight {
             .iter()
             .copied()
             .filter(|&r| state.status(r) == Status::Absent && state.has_prerequisite(r))
+            .filter(|&r| self.retries.allow(r, now))
             .filter(|&r| state.request_bytes(r) <= state.free_bytes())
             .max_by(|&a, &b| per_byte(a).total_cmp(&per_byte(b)).then(b.cmp(&a)));
         for rep in touched.drain(..) {
@@ -531,7 +538,7 @@ impl Foresight {
             return wait;
         }
         if self.settings.cover_first && !self.covered {
-            if let Some(rep) = self.cover(state, plan) {
+            if let Some(rep) = self.cover(state, plan, now) {
                 return Action::Fetch { rep, discard_on_arrival: Vec::new() };
             }
             self.covered = true;
@@ -603,14 +610,20 @@ impl Policy for Foresight {
         action
     }
 
-    fn failed(&mut self, _state: &ClientState, _rep: RepId, _now: Time) {
+    fn completed(&mut self, _state: &ClientState, rep: RepId, _now: Time) {
+        self.retries.completed(rep);
+    }
+
+    fn failed(&mut self, _state: &ClientState, rep: RepId, now: Time) {
+        self.retries.failed(rep, now);
         self.plan = None;
         self.sampled = None;
         self.committed.clear();
     }
 
     fn announce_path(&mut self, path: &[(Time, View)]) {
-        self.predictor.announce_path(path);
-        self.sampled = None;
+        if self.predictor.announce_path(path) {
+            self.sampled = None;
+        }
     }
 }

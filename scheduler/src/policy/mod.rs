@@ -1,7 +1,9 @@
 //! Policies: what to fetch next, each in a file under its published name.
 
 pub mod added_benefit;
+mod downloads;
 pub mod foresight;
+mod tileset;
 
 /// Declares the module of each rival and lists its [`Rival`].
 macro_rules! rivals {
@@ -15,6 +17,13 @@ macro_rules! rivals {
 rivals! {
     lookahead
     tiles_renderer
+    cesium
+    cesium_native
+    loaders_gl
+    potree
+    playcanvas
+    two_phase
+    weighted_proxy
 }
 
 use crate::lod_tree::{LodTree, RepId};

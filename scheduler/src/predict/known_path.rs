@@ -1,4 +1,4 @@
-//! The client has said where it goes (`flyTo`, a tour, a recording): the prediction is that path.
+//! The client has said where it goes (`flyTo`, a tour, a recording): the prediction is that path, as far as it was said.
 
 use super::{PredictedPath, Predictor};
 use crate::units::Time;
@@ -38,9 +38,15 @@ impl Predictor for KnownPath {
         views.map(|views| vec![PredictedPath { weight: 1.0, views }]).unwrap_or_default()
     }
 
-    fn announce_path(&mut self, path: &[(Time, View)]) {
-        self.path = path.to_vec();
-        self.path.sort_by_key(|(t, _)| *t);
-        self.path.dedup_by_key(|(t, _)| *t);
+    fn announce_path(&mut self, path: &[(Time, View)]) -> bool {
+        let mut path = path.to_vec();
+        path.sort_by_key(|(t, _)| *t);
+        path.dedup_by_key(|(t, _)| *t);
+        let before = core::mem::replace(&mut self.path, path);
+        // A renewal repeats what is known and goes on from there.
+        let (Some(known_to), Some(first)) = (before.last(), self.path.first()) else { return true };
+        let repeated = self.path.partition_point(|(t, _)| t <= &known_to.0);
+        let start = before.partition_point(|(t, _)| t < &first.0);
+        repeated == 0 || self.path[..repeated] != before[start..]
     }
 }

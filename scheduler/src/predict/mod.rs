@@ -28,8 +28,11 @@ pub trait Predictor: Send {
     /// the first observation.
     fn predict(&self, now: Time, offsets: &[f64]) -> Vec<PredictedPath>;
 
-    /// The client has said where it will go.
-    fn announce_path(&mut self, _path: &[(Time, View)]) {}
+    /// The client has said where it will go. Whether predictions of what was already announced have changed: what was
+    /// sampled along them no longer holds.
+    fn announce_path(&mut self, _path: &[(Time, View)]) -> bool {
+        false
+    }
 }
 
 /// The predictors by name.

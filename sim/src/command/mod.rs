@@ -30,7 +30,7 @@ enum Command {
     Inspect(inspect::InspectArgs),
     /// Runs the named benchmark cases, and sets foresight against each rival.
     Suite(suite::SuiteArgs),
-    /// Makes worlds of any size.
+    /// Makes worlds of any size, and recordings of paths.
     Generate(generate::GenerateArgs),
 }
 

@@ -28,16 +28,20 @@ const BUILT_IN_STARTS: u32 = 4;
     foresight-sim replay --policy foresight,foresight:alpha=1:predictor=true-path,clairvoyant\n  foresight-sim replay --error-target best --link constant:5Mbit,40ms\n\n\
     A policy takes options after colons:\n  foresight, added-benefit, clairvoyant: alpha, predictor (constant-velocity, constant-turn, kalman, mixture, known-path,\n    \
     true-path), discards (planned, lru), arrival (on, off), cover (on, off), horizon, reuse, hysteresis, attenuation, samples,\n    \
-    opening, falloff, tolerance, slack, turn-rate and speed (declared, rad/s and m/s), request-cost\n  lookahead, 3d-tiles-renderer: target (pixels), parallel"
+    opening, falloff, tolerance, slack, turn-rate and speed (declared, rad/s and m/s), request-cost\n  the rivals: target (pixels, where it has one), parallel"
 )]
 pub(crate) struct ReplayArgs {
-    /// A world directory, tileset.json or generated city; the built-in city if not given
+    /// A world directory, tileset.json, elevation grid (.npz, GeoTIFF), or a generated world by its parameters:
+    /// city:blocks=40,seed=7, terrain:size=40km,resolution=10m, asteroids:count=29264, mosaic:TILESET,grid=16; the built-in
+    /// city if not given
     #[arg(long, value_name = "WORLD")]
     world: Option<String>,
-    /// A TUM or EyeNavGS recording, or steady, turn (with :speed=5,duration=60); the built-in flight if not given
+    /// A TUM or EyeNavGS recording or one of our own, or steady, turn (with :speed=5,duration=60), teleport (with
+    /// every=10,distance=200,seed=1 besides); the built-in flight if not given
     #[arg(long, value_name = "PATH")]
     path: Option<String>,
-    /// A Mahimahi trace, `seconds Mbit/s` lines, or constant:5Mbit,40ms; each with ,scale= ,start= ,rtt=
+    /// A Mahimahi trace (with the .delay beside it), `seconds Mbit/s` lines, a SABRE list, a G-NetTrack log, or
+    /// constant:5Mbit,40ms; each with ,scale= ,start= ,rtt= or ,delay=FILE, and ,loss=P for requests that fail
     #[arg(long, value_name = "LINK")]
     link: Option<String>,
     /// Policies separated by commas, or all
@@ -50,8 +54,8 @@ pub(crate) struct ReplayArgs {
     /// Trust in the prediction, 0 to 1
     #[arg(long, default_value_t = 0.7, value_parser = trust, allow_hyphen_values = true)]
     alpha: f64,
-    /// Pixels of error that lookahead and 3d-tiles-renderer aim at (they ship with 16); best adds each at its best of
-    /// 1, 2, 4, 8 and 16 px in hindsight
+    /// Pixels of error that the rivals aim at, instead of what each ships with; best adds each at its best of 1, 2, 4, 8
+    /// and 16 px in hindsight
     #[arg(long, value_name = "PX|best")]
     error_target: Option<String>,
     /// When children count: partial (drawn beside their parent) or atomic (all or none)
@@ -66,7 +70,7 @@ pub(crate) struct ReplayArgs {
     /// link
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
     starts: Option<u32>,
-    /// Seed of the offsets
+    /// Seed of the offsets, and of which requests fail
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Decoded bytes per second that each of two workers decodes
@@ -78,6 +82,9 @@ pub(crate) struct ReplayArgs {
     /// Opening angle of the cuts by which frames are judged; smaller is more accurate and slower
     #[arg(long, default_value_t = 0.15, value_name = "THETA")]
     opening: f64,
+    /// The client announces its path this many seconds ahead, renewed once a second; for predictor=known-path
+    #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+    announce: Option<f64>,
     /// Leave the upper bound out
     #[arg(long)]
     no_bound: bool,
@@ -111,6 +118,7 @@ impl ReplayArgs {
             decode_rate: 200e6,
             upload_budget: 8 << 20,
             opening: 0.15,
+            announce: None,
             no_bound: false,
             report: Some(PathBuf::from("report")),
             json: false,
@@ -144,6 +152,11 @@ fn memory(text: &str) -> Result<Memory, String> {
 fn trust(text: &str) -> Result<f64, String> {
     let alpha = text.parse::<f64>().ok().filter(|alpha| (0.0..=1.0).contains(alpha));
     alpha.ok_or_else(|| format!("`{text}`; expected a number from 0 to 1"))
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    let seconds = text.parse::<f64>().ok().filter(|seconds| *seconds > 0.0 && *seconds <= 86_400.0);
+    seconds.ok_or_else(|| format!("`{text}`; expected seconds, more than 0 and at most 86400"))
 }
 
 fn refinement(text: &str) -> Result<Refinement, String> {
@@ -204,19 +217,18 @@ pub(crate) fn execute(args: &ReplayArgs, progress: &(dyn Fn(usize, usize) + Sync
         );
     }
     let (target, hindsight) = match args.error_target.as_deref() {
-        None => (16.0, Vec::new()),
-        Some("best") => (16.0, HINDSIGHT_TARGETS_PX.to_vec()),
+        None => (None, Vec::new()),
+        Some("best") => (None, HINDSIGHT_TARGETS_PX.to_vec()),
         Some(px) => {
             let target = px.parse::<f64>().ok().filter(|t| *t >= 0.01 && *t <= 1e4);
-            (
-                target.with_context(|| format!("--error-target {px}; expected pixels from 0.01 to 10000, or best"))?,
-                Vec::new(),
-            )
+            let target =
+                target.with_context(|| format!("--error-target {px}; expected pixels from 0.01 to 10000, or best"))?;
+            (Some(target), Vec::new())
         }
     };
     let policies = PolicySpec::parse_list(&args.policy, args.alpha, target)?;
     // Links and paths are small: what is wrong with them is said before a world is loaded.
-    let link = inputs::open_link(args.link.as_deref())?;
+    let link = inputs::open_link(args.link.as_deref())?.with_loss_seed(args.seed);
     let path = inputs::open_path(args.path.as_deref(), &args.path_args)?;
     let (world_name, world) = inputs::open_world(args.world.as_deref())?;
     let as_is = args.world.is_none() && args.path.is_none();
@@ -237,6 +249,7 @@ pub(crate) fn execute(args: &ReplayArgs, progress: &(dyn Fn(usize, usize) + Sync
         client: ClientSettings {
             decode_rate: args.decode_rate,
             upload_bytes_per_tick: args.upload_budget,
+            announce_s: args.announce.unwrap_or(0.0),
             ..ClientSettings::default()
         },
         judging: CutSettings { opening: args.opening, ..CutSettings::default() },
@@ -253,14 +266,21 @@ pub(crate) fn execute(args: &ReplayArgs, progress: &(dyn Fn(usize, usize) + Sync
         alpha: args.alpha,
         worst_case: "union".to_owned(),
         refinement: format!("{:?}", args.refinement).to_lowercase(),
+        announce_s: args.announce,
+        head: args.path_args.head().map(str::to_owned),
         seed: args.seed,
         viewport: view.viewport,
         fov_y_deg: view.fov_y.to_degrees(),
         ..Inputs::default()
     };
     let mut comparison = compare(&plan, inputs, progress)?;
+    if link.loss() > 0.0 {
+        let failures = comparison.policies.iter().map(|p| format!("{} {:.1}", p.name, p.failures));
+        let failures = failures.collect::<Vec<_>>().join(", ");
+        comparison.warnings.push(format!("{} % of the requests fail; failures: {failures}", link.loss() * 100.0));
+    }
     comparison.warnings.extend(inputs::world_notes(&world, 5));
-    comparison.warnings.extend(path.notes().iter().map(|n| format!("path: {n}")));
+    comparison.warnings.extend(placed.notes.iter().map(|n| format!("path: {n}")));
     comparison.warnings.extend(link.notes().iter().map(|n| format!("link: {n}")));
     Ok(comparison)
 }

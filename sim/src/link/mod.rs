@@ -4,17 +4,29 @@
 //! [`NANO_BITS_PER_BYTE`] of them. Nothing on a link is ever rounded but the time of an event, upwards to the nanosecond.
 
 mod built_in;
+pub mod delay;
+pub mod g_nettrack;
+mod latency;
+mod loss;
+mod mahimahi;
 pub mod parse;
+mod rate_lines;
+pub mod sabre;
 pub mod shared;
+mod statistics;
 mod trace;
 
+#[cfg(test)]
+mod format_tests;
 #[cfg(test)]
 mod parse_tests;
 #[cfg(test)]
 mod shared_tests;
 
 pub use built_in::built_in;
+pub use latency::RttPiece;
 pub use shared::SharedLink;
+pub use statistics::LinkStatistics;
 pub use trace::{LinkTrace, RatePiece};
 
 /// Nano-bits in a byte.
@@ -43,7 +55,8 @@ pub enum LinkError {
     /// The content is of no link format that is read here.
     #[error(
         "{name}, line {line}: `{found}` is not a supported link format; expected Mahimahi lines (one non-decreasing \
-         integer of milliseconds each), or lines of `seconds Mbit/s`"
+         integer of milliseconds each), lines of `seconds Mbit/s`, a SABRE list (JSON), or a G-NetTrack log (CSV with \
+         Timestamp and DL_bitrate)"
     )]
     Unsupported {
         /// The file.

@@ -1,13 +1,12 @@
 //! Links from files and from specifications.
 
-use std::iter::Peekable;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use foresight_scheduler::units::Time;
 
 use crate::text_lines::{LINE_BYTES_MAX, TextLines};
 
-use super::{LinkError, LinkTrace, RatePiece, SECONDS_MAX};
+use super::{LinkError, LinkTrace, SECONDS_MAX, delay, g_nettrack, mahimahi, rate_lines, sabre};
 
 /// Round trip of a link whose file states none.
 pub const ASSUMED_RTT: Time = Time(50_000_000);
@@ -15,42 +14,44 @@ pub const ASSUMED_RTT: Time = Time(50_000_000);
 /// Largest file read, bytes.
 const FILE_BYTES_MAX: u64 = 1 << 30;
 
-/// How long the rate of a file with a single line holds.
-const SINGLE_STEP: Time = Time(1_000_000_000);
-
-/// Reads `FILE|constant:RATE,RTT[,scale=X][,start=SECONDS][,rtt=MS]`.
+/// Reads `FILE|constant:RATE,RTT[,scale=X][,start=SECONDS][,rtt=MS|,delay=FILE][,loss=P]`.
 ///
 /// RATE is a number with `bit`, `kbit`, `Mbit` or `Gbit` (`/s` or `ps` may follow), RTT one with `us`, `ms` or `s`; `rtt=`
-/// without a unit is in milliseconds, `start=` in seconds.
+/// without a unit is in milliseconds, `start=` in seconds; `delay=` names a list of one-way delays (see [`delay`]), which is
+/// also taken from `NAME.delay` beside a `NAME.down`; `loss=` is the probability that a request fails.
 ///
 /// # Errors
-/// A specification of another form, a file that cannot be read, and all errors of [`from_bytes`].
+/// A specification of another form, a file that cannot be read, and all errors of [`from_bytes`] and [`delay::parse`].
 pub fn from_specification(spec: &str) -> Result<LinkTrace, LinkError> {
     let fail = |message: String| LinkError::Specification { spec: spec.to_owned(), message };
     let mut source = spec;
-    let (mut scale, mut start, mut rtt) = (None, None, None);
+    let (mut scale, mut start, mut rtt, mut delay_file, mut loss) = (None, None, None, None, None);
     while let Some((rest, option)) = source.rsplit_once(',') {
         let Some((key, value)) = option.split_once('=') else { break };
         let slot = match key {
             "scale" => &mut scale,
             "start" => &mut start,
             "rtt" => &mut rtt,
+            "delay" => &mut delay_file,
+            "loss" => &mut loss,
             // A file name may hold a comma and an equals sign.
             _ if Path::new(source).exists() => break,
-            _ => return Err(fail(format!("unknown option `{key}`; expected scale, start or rtt"))),
+            _ => return Err(fail(format!("unknown option `{key}`; expected scale, start, rtt, delay or loss"))),
         };
         if slot.replace(value).is_some() {
             return Err(fail(format!("`{key}` is given twice; expected once")));
         }
         source = rest;
     }
-    let scale = match scale {
-        None => None,
+    let number = |what: &str, text: Option<&str>, fits: fn(f64) -> bool, expected: &str| match text {
+        None => Ok(None),
         Some(text) => match text.parse::<f64>() {
-            Ok(value) if value.is_finite() && value > 0.0 => Some(value),
-            _ => return Err(fail(format!("scale `{text}`; expected a positive number"))),
+            Ok(value) if fits(value) => Ok(Some(value)),
+            _ => Err(fail(format!("{what} `{text}`; expected {expected}"))),
         },
     };
+    let scale = number("scale", scale, |v| v.is_finite() && v > 0.0, "a positive number")?;
+    let loss = number("loss", loss, |v| (0.0..=1.0).contains(&v), "a probability, 0 to 1")?;
     let start = match start {
         None => None,
         Some(text) => Some(time(text, "s").ok_or_else(|| fail(format!("start `{text}`; expected seconds, 0 to 1e9")))?),
@@ -61,8 +62,11 @@ pub fn from_specification(spec: &str) -> Result<LinkTrace, LinkError> {
             Some(time(text, "ms").ok_or_else(|| fail(format!("rtt `{text}`; expected milliseconds, such as 40")))?)
         }
     };
+    if rtt.is_some() && delay_file.is_some() {
+        return Err(fail("both rtt and delay are given; expected one".to_owned()));
+    }
 
-    let mut link = match source.strip_prefix("constant:") {
+    let (mut link, states_rtt) = match source.strip_prefix("constant:") {
         Some(constant) => {
             let expected = "expected `constant:RATE,RTT`, such as constant:5Mbit,40ms";
             let (rate_text, rtt_text) = match constant.split_once(',') {
@@ -73,26 +77,35 @@ pub fn from_specification(spec: &str) -> Result<LinkTrace, LinkError> {
             match (rtt_text, rtt) {
                 (Some(text), _) => {
                     let own = time(text, "").ok_or_else(|| fail(format!("round trip `{text}`; {expected}")))?;
-                    LinkTrace::constant(source, bits, own)?
+                    (LinkTrace::constant(source, bits, own)?, true)
                 }
-                (None, Some(given)) => LinkTrace::constant(source, bits, given)?,
+                (None, Some(given)) => (LinkTrace::constant(source, bits, given)?, true),
+                (None, None) if delay_file.is_some() => (LinkTrace::constant(source, bits, Time::ZERO)?, true),
                 (None, None) => return Err(fail(format!("no round trip; {expected}"))),
             }
         }
         None => {
-            let io = |error| LinkError::Io { name: source.to_owned(), source: error };
-            let size = std::fs::metadata(source).map_err(io)?.len();
-            check_size(source, size)?;
-            file_content(source, &std::fs::read(source).map_err(io)?)?
+            let read = file_content(source, &read(source)?)?;
+            (read.link, read.states_rtt)
         }
     };
-    match rtt {
-        Some(rtt) => link = link.with_rtt(rtt)?,
-        None if !source.starts_with("constant:") => assume_rtt(&mut link),
-        None => {}
+    let delays = delay_file.map(PathBuf::from).or_else(|| delays_beside(source).filter(|_| rtt.is_none()));
+    match (rtt, delays) {
+        (Some(rtt), _) => link = link.with_rtt(rtt)?,
+        (None, Some(file)) => {
+            let name = file.to_string_lossy();
+            let delays = delay::parse(&name, &read(&name)?)?;
+            link = link.with_varying_rtt(&delays.pieces, delays.period)?;
+            link.add_note(format!("round trips: twice the one-way delays in {name}"));
+        }
+        (None, None) if !states_rtt => assume_rtt(&mut link),
+        (None, None) => {}
     }
     if let Some(factor) = scale {
         link = link.scaled(factor)?;
+    }
+    if let Some(probability) = loss {
+        link = link.with_loss(probability, 1)?;
     }
     if let Some(start) = start {
         link = link.shifted(start);
@@ -101,19 +114,37 @@ pub fn from_specification(spec: &str) -> Result<LinkTrace, LinkError> {
     Ok(link)
 }
 
-/// Reads a file's content, recognised by itself: Mahimahi lines (an integer of milliseconds each, non-decreasing, one
-/// opportunity of 1500 bytes), or lines of `seconds Mbit/s`. Empty lines and lines that begin with `#` are skipped.
-/// Neither format states a round trip: [`ASSUMED_RTT`] is taken, and noted.
+fn read(name: &str) -> Result<Vec<u8>, LinkError> {
+    let io = |error| LinkError::Io { name: name.to_owned(), source: error };
+    check_size(name, std::fs::metadata(name).map_err(io)?.len())?;
+    std::fs::read(name).map_err(io)
+}
+
+/// `NAME.delay` beside a `NAME.down`, if it is there.
+fn delays_beside(source: &str) -> Option<PathBuf> {
+    let file = Path::new(source);
+    let beside = file.with_extension("delay");
+    (file.extension()? == "down" && beside.is_file()).then_some(beside)
+}
+
+/// Reads a file's content, recognised by itself:
+/// - Mahimahi lines (an integer of milliseconds each, non-decreasing, one opportunity of 1500 bytes);
+/// - lines of `seconds Mbit/s`; the first time becomes 0, a rate holds until the next line's time, the last one for the
+///   median step; lines whose time is not later than the one before are dropped, and noted;
+/// - a SABRE list (JSON), see [`sabre`];
+/// - a G-NetTrack log (CSV with `Timestamp` and `DL_bitrate`), see [`g_nettrack`].
 ///
-/// In the second format the first time becomes 0, a rate holds until the next line's time, the last one for the median
-/// step. Lines whose time is not later than the one before are dropped, and noted.
+/// Empty lines and lines that begin with `#` are skipped. Where a round trip is not stated, [`ASSUMED_RTT`] is taken, and
+/// noted.
 ///
 /// # Errors
 /// [`LinkError`] names the line and what was expected of it.
 pub fn from_bytes(name: &str, bytes: &[u8]) -> Result<LinkTrace, LinkError> {
-    let mut link = file_content(name, bytes)?;
-    assume_rtt(&mut link);
-    Ok(link)
+    let mut read = file_content(name, bytes)?;
+    if !read.states_rtt {
+        assume_rtt(&mut read.link);
+    }
+    Ok(read.link)
 }
 
 fn assume_rtt(link: &mut LinkTrace) {
@@ -128,17 +159,29 @@ fn check_size(name: &str, size: u64) -> Result<(), LinkError> {
     Err(LinkError::Whole { name: name.to_owned(), message })
 }
 
-/// A link with [`ASSUMED_RTT`], not noted yet.
-fn file_content(name: &str, bytes: &[u8]) -> Result<LinkTrace, LinkError> {
+/// A link, with [`ASSUMED_RTT`] if it does not state its own.
+pub(super) struct Read {
+    pub(super) link: LinkTrace,
+    pub(super) states_rtt: bool,
+}
+
+fn file_content(name: &str, bytes: &[u8]) -> Result<Read, LinkError> {
     check_size(name, bytes.len() as u64)?;
-    let mut lines = text_lines(name, bytes)?.peekable();
-    match lines.peek() {
-        None => {
-            Err(LinkError::Whole { name: name.to_owned(), message: "is empty; expected a network trace".to_owned() })
-        }
-        Some((_, line)) if line.split_ascii_whitespace().count() == 1 => mahimahi(name, lines),
-        Some(_) => rates(name, lines),
+    if sabre::is_sabre(bytes) {
+        return Ok(Read { link: sabre::parse(name, bytes)?, states_rtt: true });
     }
+    let mut lines = text_lines(name, bytes)?.peekable();
+    let Some((_, first)) = lines.peek() else {
+        let message = "is empty; expected a network trace".to_owned();
+        return Err(LinkError::Whole { name: name.to_owned(), message });
+    };
+    if let Some(columns) = g_nettrack::Columns::find(first) {
+        lines.next();
+        return g_nettrack::parse(name, columns, lines);
+    }
+    let is_mahimahi = first.split_ascii_whitespace().count() == 1;
+    let link = if is_mahimahi { mahimahi::parse(name, lines)? } else { rate_lines::parse(name, lines)? };
+    Ok(Read { link, states_rtt: false })
 }
 
 fn text_lines<'a>(name: &str, bytes: &'a [u8]) -> Result<TextLines<'a>, LinkError> {
@@ -148,87 +191,8 @@ fn text_lines<'a>(name: &str, bytes: &'a [u8]) -> Result<TextLines<'a>, LinkErro
     })
 }
 
-fn unsupported(name: &str, line: usize, found: &str) -> LinkError {
+pub(super) fn unsupported(name: &str, line: usize, found: &str) -> LinkError {
     LinkError::Unsupported { name: name.to_owned(), line, found: found.chars().take(40).collect() }
-}
-
-fn mahimahi(name: &str, lines: Peekable<TextLines<'_>>) -> Result<LinkTrace, LinkError> {
-    let mut milliseconds: Vec<u64> = Vec::new();
-    for (number, line) in lines {
-        let Ok(ms) = line.parse::<u64>() else { return Err(unsupported(name, number, &line)) };
-        let wrong = |message: String| LinkError::Line { name: name.to_owned(), line: number, message };
-        if let Some(&previous) = milliseconds.last()
-            && ms < previous
-        {
-            return Err(wrong(format!(
-                "{ms} after {previous}: not a supported link format; expected the non-decreasing milliseconds of a \
-                 Mahimahi trace (a list of delays is not a link)"
-            )));
-        }
-        if ms as f64 > SECONDS_MAX * 1e3 {
-            return Err(wrong(format!("{ms} ms; expected at most {SECONDS_MAX} s")));
-        }
-        milliseconds.push(ms);
-    }
-    LinkTrace::from_opportunities(name, &milliseconds, ASSUMED_RTT)
-}
-
-fn rates(name: &str, lines: Peekable<TextLines<'_>>) -> Result<LinkTrace, LinkError> {
-    let mut pieces: Vec<RatePiece> = Vec::new();
-    let mut first = None;
-    let mut dropped = 0usize;
-    let mut recognised = false;
-    for (number, line) in lines {
-        let mut fields = line.split_ascii_whitespace();
-        let (Some(time), Some(rate), None) = (fields.next(), fields.next(), fields.next()) else {
-            return Err(unsupported(name, number, &line));
-        };
-        let wrong = |message: String| LinkError::Line { name: name.to_owned(), line: number, message };
-        let (seconds, mbit) = match (time.parse::<f64>(), rate.parse::<f64>()) {
-            (Ok(seconds), Ok(mbit)) => (seconds, mbit),
-            _ if recognised => return Err(wrong(format!("`{line}`; expected two numbers, seconds and Mbit/s"))),
-            _ => return Err(unsupported(name, number, &line)),
-        };
-        recognised = true;
-        if !(mbit.is_finite() && mbit >= 0.0) {
-            return Err(wrong(format!("a rate of {mbit} Mbit/s; expected a number that is not negative")));
-        }
-        if mbit * 1e6 > super::RATE_MAX as f64 {
-            return Err(wrong(format!("a rate of {mbit} Mbit/s; expected at most {} bit/s", super::RATE_MAX)));
-        }
-        let since_first = seconds - *first.get_or_insert(seconds);
-        if !since_first.is_finite() || since_first > SECONDS_MAX {
-            return Err(wrong(format!("a time of {seconds} s; expected at most {SECONDS_MAX} s after the first")));
-        }
-        // A negative number becomes 0, which is dropped as a regression.
-        let from = Time(libm::round(since_first * 1e9) as u64);
-        if pieces.last().is_some_and(|previous| from <= previous.from) {
-            dropped += 1;
-        } else {
-            pieces.push(RatePiece { from, bits_per_second: libm::round(mbit * 1e6) as u64 });
-        }
-    }
-    if dropped > pieces.len() {
-        let message = format!(
-            "{dropped} of {} times are not later than the one before; expected increasing times",
-            dropped + pieces.len()
-        );
-        return Err(LinkError::Whole { name: name.to_owned(), message });
-    }
-    let mut steps: Vec<u64> = pieces.windows(2).map(|pair| pair[1].from.0 - pair[0].from.0).collect();
-    steps.sort_unstable();
-    let step = steps.get(steps.len() / 2).map_or(SINGLE_STEP, |&median| Time(median));
-    let period = pieces.last().map_or(Time::ZERO, |last| last.from) + step;
-    let mut link = LinkTrace::from_rates(name, pieces, period, ASSUMED_RTT)?;
-    if let Some(first) = first
-        && first != 0.0
-    {
-        link.add_note(format!("begins at {first} s: shifted to 0"));
-    }
-    if dropped > 0 {
-        link.add_note(format!("{dropped} lines dropped whose time was not later than the one before"));
-    }
-    Ok(link)
 }
 
 /// A number with one of `units`; the first unit that fits is taken, and "" fits last.

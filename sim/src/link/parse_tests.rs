@@ -26,7 +26,7 @@ fn rates_hold_until_the_next_line() {
     // The last rate holds for the median step (of 1 and 2 s the upper), then the trace repeats.
     assert_eq!(bytes(&link, 3 * S, 5 * S), 200_000);
     assert_eq!(bytes(&link, 4 * S, 6 * S), 1_100_000);
-    assert_eq!(link.rtt(), ASSUMED_RTT);
+    assert_eq!(link.rtt_at(Time::ZERO), ASSUMED_RTT);
     assert!(link.notes().iter().any(|note| note.contains("50 ms assumed")), "{:?}", link.notes());
     assert!(link.notes().iter().any(|note| note.contains("shifted to 0")));
 }
@@ -71,18 +71,18 @@ fn what_is_no_link_is_refused_with_the_reason() {
 #[test]
 fn specifications() {
     let link = from_specification("constant:5Mbit,40ms").unwrap();
-    assert_eq!((link.mean_rate(), link.rtt()), (625_000.0, Time(40 * MS)));
+    assert_eq!((link.mean_rate(), link.rtt_at(Time::ZERO)), (625_000.0, Time(40 * MS)));
     assert!(link.notes().is_empty());
     let link = from_specification("constant:1.5Gbit/s,0.25s,scale=0.5,rtt=7").unwrap();
-    assert_eq!((link.mean_rate(), link.rtt()), (93_750_000.0, Time(7 * MS)));
-    assert_eq!(from_specification("constant:64kbps,1500us").unwrap().rtt(), Time(1_500_000));
+    assert_eq!((link.mean_rate(), link.rtt_at(Time::ZERO)), (93_750_000.0, Time(7 * MS)));
+    assert_eq!(from_specification("constant:64kbps,1500us").unwrap().rtt_at(Time::ZERO), Time(1_500_000));
 
     let directory = tempfile::tempdir().unwrap();
     let file = directory.path().join("a,b.txt");
     std::fs::write(&file, "0 8\n1 16\n").unwrap();
     let file = file.to_str().unwrap();
     let link = from_specification(&format!("{file},scale=2,start=0.5,rtt=80ms")).unwrap();
-    assert_eq!(link.rtt(), Time(80 * MS));
+    assert_eq!(link.rtt_at(Time::ZERO), Time(80 * MS));
     assert!(link.notes().is_empty(), "{:?}", link.notes());
     assert_eq!(bytes(&link, 0, S), 1_000_000 + 2_000_000);
     assert!(link.name().ends_with("a,b.txt,scale=2,start=0.5,rtt=80ms"));
@@ -103,6 +103,10 @@ fn specifications() {
         ("constant:5Mbit,40ms,start=-1", "start `-1`"),
         ("constant:5Mbit,40ms,rtt=1e99", "rtt `1e99`"),
         ("constant:5Mbit,40ms,speed=3", "unknown option `speed`"),
+        ("constant:5Mbit,40ms,loss=1.5", "loss `1.5`"),
+        ("constant:5Mbit,40ms,loss=NaN", "loss `NaN`"),
+        ("constant:5Mbit,rtt=3,delay=x", "both rtt and delay"),
+        ("constant:5Mbit,delay=no/such/delays", "no/such/delays"),
         ("constant:5Mbit,40ms,rtt=3,rtt=4", "given twice"),
         ("no/such/file", "no/such/file"),
     ] {
@@ -132,7 +136,7 @@ fn scaling_and_shifting() {
 fn the_built_in_link_is_what_it_says() {
     let link = built_in();
     assert!((link.mean_rate() - 187_500.0).abs() < 100.0);
-    assert_eq!((link.period(), link.rtt()), (Time(120 * S), Time(60 * MS)));
+    assert_eq!((link.period(), link.rtt_at(Time::ZERO)), (Time(120 * S), Time(60 * MS)));
     let seconds: Vec<u64> = (0..120).map(|s| bytes(&link, s * S, (s + 1) * S)).collect();
     assert_eq!(seconds.iter().filter(|&&b| b < 18_750).count(), 13, "{seconds:?}");
     assert!(*seconds.iter().max().unwrap() < 1_000_000);
@@ -151,10 +155,20 @@ fn recorded_links_load() {
             continue;
         }
         let link = from_specification(path.to_str().unwrap());
-        if name.ends_with(".txt") || name.ends_with(".down") {
+        if !name.ends_with(".delay") {
             let link = link.unwrap_or_else(|error| panic!("{error}"));
             loaded += 1;
-            println!("{name}: {:.3} Mbit/s, {} s, {:?}", link.mean_rate() * 8e-6, link.period().secs(), link.notes());
+            let (mean, period) = (link.mean_rate() * 8e-6, link.period().secs());
+            println!("{name}: {mean:.3} Mbit/s, {period} s, {:?}, {:?}", link.rtt_range(), link.notes());
+            if name.starts_with("irish5g") {
+                let notes = link.notes().join("\n");
+                assert!(notes.contains("rows share their second") && notes.contains("PINGAVG"), "{notes}");
+                assert!(!notes.contains("assumed"), "{notes}");
+            }
+            if name.starts_with("starlink") {
+                assert_eq!(link.rtt_range(), (Time(16 * MS), Time(86 * MS)));
+                assert_eq!((link.rtt_at(Time::ZERO), link.rtt_at(Time(30 * MS))), (Time(24 * MS), Time(32 * MS)));
+            }
             if name.ends_with(".down") {
                 let text = std::fs::read_to_string(&path).unwrap();
                 let count = text.split_ascii_whitespace().count() as u64;
@@ -166,7 +180,7 @@ fn recorded_links_load() {
             refused += 1;
         }
     }
-    assert!(loaded >= 10 && refused >= 1, "{loaded} loaded, {refused} refused");
+    assert!(loaded >= 12 && refused == 1, "{loaded} loaded, {refused} refused");
 }
 
 /// A folder of the recordings, or `None` where they are absent and that is allowed.

@@ -1,6 +1,6 @@
 //! Transfers that share a link in equal parts.
 
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::{BTreeMap, BTreeSet};
 
 use foresight_scheduler::units::Time;
 
@@ -16,7 +16,8 @@ use super::{LinkTrace, NANO_BITS_PER_BYTE};
 /// its reported time is rounded up. So neither how often the link is advanced nor the order of calls at one
 /// instant changes a completion, and n transfers begun together end at τ + c·(Σ_{j≤k} M_j + (n−k)·M_k).
 ///
-/// A transfer joins one round trip after it was started. Capacity at the very instant of joining is not for it.
+/// A transfer joins one round trip after it was started, the round trip of that moment. Capacity at the very instant of
+/// joining is not for it.
 #[derive(Clone, Debug)]
 pub struct SharedLink {
     trace: LinkTrace,
@@ -24,7 +25,7 @@ pub struct SharedLink {
     /// Every transfer begun, by id.
     transfers: BTreeMap<u64, Transfer>,
     /// Started and not joined yet, by time of joining; ids that were cancelled since are skipped.
-    joining: VecDeque<(Time, u64)>,
+    joining: BTreeSet<(Time, u64)>,
     /// Transfers on the link by the level at which they end, then by id.
     ends: BTreeSet<(u128, u64)>,
     /// Level, in nano-bits, at work `at` of the trace, reached at `at_time`.
@@ -55,7 +56,7 @@ impl SharedLink {
             trace: trace.shifted(start),
             now: Time::ZERO,
             transfers: BTreeMap::new(),
-            joining: VecDeque::new(),
+            joining: BTreeSet::new(),
             ends: BTreeSet::new(),
             level: 0,
             at: 0,
@@ -72,16 +73,16 @@ impl SharedLink {
         &self.trace
     }
 
-    /// Begins a transfer of `bytes`, which joins the link at `now` + round trip. A `now` before the latest call counts
+    /// Begins a transfer of `bytes`, which joins the link at `now` + the round trip there. A `now` before the latest call counts
     /// as that. False, and nothing happens, if a transfer of this id is under way.
     pub fn start(&mut self, id: u64, bytes: u64, now: Time) -> bool {
         if matches!(self.transfers.get(&id), Some(Transfer::Joining { .. } | Transfer::OnLink { .. })) {
             return false;
         }
         self.settle(now);
-        let joins = self.now + self.trace.rtt();
+        let joins = self.now + self.trace.rtt_at(self.now);
         self.transfers.insert(id, Transfer::Joining { joins, bytes });
-        self.joining.push_back((joins, id));
+        self.joining.insert((joins, id));
         true
     }
 
@@ -110,7 +111,7 @@ impl SharedLink {
         if let Some(&(_, at)) = self.ended.first() {
             return Some(at);
         }
-        let next = self.joining.front().map_or(self.next_end, |&(joins, _)| joins.min(self.next_end));
+        let next = self.joining.first().map_or(self.next_end, |&(joins, _)| joins.min(self.next_end));
         (next != Time::NEVER).then_some(next)
     }
 
@@ -158,18 +159,18 @@ impl SharedLink {
         matches!(self.transfers.get(&id), Some(&Transfer::Joining { joins: j, .. }) if j == joins)
     }
 
-    /// Handles every event up to `now`, which becomes the present. Afterwards the front of `joining` does join.
+    /// Handles every event up to `now`, which becomes the present. Afterwards the first of `joining` does join.
     fn settle(&mut self, now: Time) {
         let now = now.max(self.now);
         loop {
-            while self.joining.front().is_some_and(|&(joins, id)| !self.still_joins(joins, id)) {
-                self.joining.pop_front();
+            while self.joining.first().is_some_and(|&(joins, id)| !self.still_joins(joins, id)) {
+                self.joining.pop_first();
             }
-            let join = self.joining.front().copied().filter(|&(joins, _)| joins <= now);
+            let join = self.joining.first().copied().filter(|&(joins, _)| joins <= now);
             match join {
                 // An end within the nanosecond before a join comes first.
                 Some((joins, id)) if joins < self.next_end => {
-                    self.joining.pop_front();
+                    self.joining.pop_first();
                     self.join(id, joins);
                 }
                 _ if self.next_end <= now && self.next_end != Time::NEVER => self.end_next(),

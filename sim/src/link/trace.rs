@@ -4,6 +4,8 @@ use std::sync::Arc;
 
 use foresight_scheduler::units::Time;
 
+use super::latency::{Latency, RttPiece};
+use super::loss::Loss;
 use super::{LinkError, NANO_BITS_PER_BYTE, OPPORTUNITY_BYTES, RATE_MAX, SECONDS_MAX};
 
 /// A rate that holds from `from` until the next piece begins.
@@ -15,14 +17,15 @@ pub struct RatePiece {
     pub bits_per_second: u64,
 }
 
-/// Capacity of a link over time, repeating for ever, and its round-trip time.
+/// Capacity of a link over time, repeating for ever, its round-trip time, and how often a request fails on it.
 ///
 /// Capacity at an instant counts towards the interval that ends there: intervals are half-open, (from, to].
 #[derive(Clone, Debug)]
 pub struct LinkTrace {
     name: String,
     notes: Vec<String>,
-    rtt: Time,
+    latency: Latency,
+    loss: Loss,
     /// Where in the period time zero lies, less than the period.
     offset: u64,
     capacity: Arc<Capacity>,
@@ -101,7 +104,8 @@ impl LinkTrace {
         Ok(LinkTrace {
             name: name.to_owned(),
             notes: Vec::new(),
-            rtt,
+            latency: Latency::Constant(rtt),
+            loss: Loss::NONE,
             offset: 0,
             capacity: Arc::new(Capacity { period: period.0, total: work, shape: Shape::Rates { pieces, before } }),
         })
@@ -153,7 +157,8 @@ impl LinkTrace {
         Ok(LinkTrace {
             name: name.to_owned(),
             notes: Vec::new(),
-            rtt,
+            latency: Latency::Constant(rtt),
+            loss: Loss::NONE,
             offset: 0,
             capacity: Arc::new(Capacity { period, total, shape: Shape::Opportunities { instants, counts, quantum } }),
         })
@@ -169,9 +174,25 @@ impl LinkTrace {
         &self.notes
     }
 
-    /// Time from a request to its first byte on an idle link.
-    pub fn rtt(&self) -> Time {
-        self.rtt
+    /// Time from a request at `now` to its first byte on an idle link.
+    pub fn rtt_at(&self, now: Time) -> Time {
+        self.latency.at(now)
+    }
+
+    /// The least and the greatest round trip; equal where it does not vary.
+    pub fn rtt_range(&self) -> (Time, Time) {
+        self.latency.range()
+    }
+
+    /// Probability that a request fails.
+    pub fn loss(&self) -> f64 {
+        self.loss.probability
+    }
+
+    /// Whether and after how many of its `bytes` a transfer breaks off. `subject` is what was asked for, `attempt` how
+    /// often it was asked for before.
+    pub fn breaks_after(&self, subject: u64, attempt: u64, bytes: u64) -> Option<u64> {
+        self.loss.breaks_after(self.offset, subject, attempt, bytes)
     }
 
     /// Length of the trace before it repeats.
@@ -200,14 +221,48 @@ impl LinkTrace {
     /// A round trip above [`SECONDS_MAX`].
     pub fn with_rtt(&self, rtt: Time) -> Result<LinkTrace, LinkError> {
         check_span(&self.name, "the round trip", rtt)?;
-        Ok(LinkTrace { rtt, ..self.clone() })
+        Ok(LinkTrace { latency: Latency::Constant(rtt), ..self.clone() })
+    }
+
+    /// The same capacity with a round trip that varies: `pieces` over a period of their own, then again from the start.
+    /// What counts for a request is the moment at which it is made.
+    ///
+    /// # Errors
+    /// No piece, a first piece that does not begin at 0, pieces out of order or beyond the period, a period or round
+    /// trip above [`SECONDS_MAX`].
+    pub fn with_varying_rtt(&self, pieces: &[RttPiece], period: Time) -> Result<LinkTrace, LinkError> {
+        check_span(&self.name, "the round trips' period", period)?;
+        for piece in pieces {
+            check_span(&self.name, "the round trip", piece.rtt)?;
+        }
+        let latency = Latency::varying(pieces, period, self.offset)
+            .map_err(|message| LinkError::Whole { name: self.name.clone(), message })?;
+        Ok(LinkTrace { latency, ..self.clone() })
+    }
+
+    /// The same link on which each request fails with `probability`.
+    ///
+    /// # Errors
+    /// A probability that is not between 0 and 1.
+    pub fn with_loss(&self, probability: f64, seed: u64) -> Result<LinkTrace, LinkError> {
+        if !(0.0..=1.0).contains(&probability) {
+            let message = format!("a loss of {probability}; expected a probability, 0 to 1");
+            return Err(LinkError::Whole { name: self.name.clone(), message });
+        }
+        Ok(LinkTrace { loss: Loss { probability, seed }, ..self.clone() })
+    }
+
+    /// The same link whose failures another seed names.
+    pub fn with_loss_seed(&self, seed: u64) -> LinkTrace {
+        LinkTrace { loss: Loss { seed, ..self.loss }, ..self.clone() }
     }
 
     /// The same link with time zero put `start` later; beyond the period it wraps around.
     pub fn shifted(&self, start: Time) -> LinkTrace {
         let period = self.capacity.period;
         let offset = (u128::from(self.offset) + u128::from(start.0)) % u128::from(period);
-        LinkTrace { offset: offset as u64, ..self.clone() }
+        let latency = self.latency.shifted(start);
+        LinkTrace { offset: offset as u64, latency, ..self.clone() }
     }
 
     /// The same link with every rate multiplied by `factor` and rounded to the bit/s; opportunities carry
@@ -228,7 +283,7 @@ impl LinkTrace {
                     // Saturates far above RATE_MAX, where `from_rates` refuses it.
                     out.push(RatePiece { from: piece.from, bits_per_second: scaled(piece.bits_per_second) as u64 });
                 }
-                LinkTrace::from_rates(&self.name, out, self.period(), self.rtt)?.capacity
+                LinkTrace::from_rates(&self.name, out, self.period(), Time::ZERO)?.capacity
             }
             Shape::Opportunities { instants, counts, quantum } => {
                 // At most RATE_MAX nano-bits for an opportunity is 125 kB.
@@ -265,13 +320,18 @@ impl LinkTrace {
         self.capacity.total as f64 / NANO_BITS_PER_BYTE as f64 / self.period().secs()
     }
 
-    /// BLAKE3 of what the link does: capacity, offset and round trip; not of its name.
+    /// Longest time in which nothing is delivered, the repetition included.
+    pub(super) fn longest_outage(&self) -> Time {
+        Time(self.capacity.longest_outage())
+    }
+
+    /// BLAKE3 of what the link does: capacity, offset, round trips and failures; not of its name.
     pub fn hash(&self) -> blake3::Hash {
         let mut hasher = blake3::Hasher::new();
         let mut put = |value: u64| {
             hasher.update(&value.to_le_bytes());
         };
-        put(self.rtt.0);
+        self.latency.identify(&mut put);
         put(self.offset);
         put(self.capacity.period);
         match &self.capacity.shape {
@@ -290,6 +350,10 @@ impl LinkTrace {
                     put(count);
                 }
             }
+        }
+        if self.loss.probability > 0.0 {
+            put(self.loss.probability.to_bits());
+            put(self.loss.seed);
         }
         hasher.finalize()
     }
@@ -329,6 +393,31 @@ impl Capacity {
                 0 => 0,
                 n => u128::from(counts[n - 1]) * u128::from(*quantum),
             },
+        }
+    }
+
+    fn longest_outage(&self) -> u64 {
+        match &self.shape {
+            Shape::Rates { pieces, .. } => {
+                let ends = pieces.iter().skip(1).map(|next| next.from.0).chain([self.period]);
+                let (mut longest, mut current, mut at_start) = (0, 0, None);
+                for (piece, end) in pieces.iter().zip(ends) {
+                    if piece.bits_per_second == 0 {
+                        current += end - piece.from.0;
+                    } else {
+                        at_start.get_or_insert(current);
+                        longest = longest.max(current);
+                        current = 0;
+                    }
+                }
+                // What ends the period goes on at its start.
+                longest.max(current + at_start.unwrap_or(0))
+            }
+            // The last instant is the period's end.
+            Shape::Opportunities { instants, .. } => {
+                let befores = [0].iter().chain(instants);
+                instants.iter().zip(befores).map(|(at, before)| at - before).max().unwrap_or(0)
+            }
         }
     }
 

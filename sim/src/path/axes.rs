@@ -81,6 +81,9 @@ pub struct CameraAxes {
 }
 
 impl CameraAxes {
+    pub(super) const PLUS_X_MINUS_Z: CameraAxes =
+        CameraAxes { forward: Axis { index: 0, negative: false }, up: Axis::MINUS_Z };
+
     /// Turns a camera that looks along −z with +y up into one with these axes.
     pub fn from_canonical(self) -> DQuat {
         let (forward, up) = (self.forward.vector(), self.up.vector());

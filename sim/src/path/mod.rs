@@ -2,19 +2,34 @@
 
 mod axes;
 mod built_in;
+mod facts;
+mod frame;
+pub mod head;
+mod import;
+pub mod look;
 pub mod parse;
 pub mod place;
+pub mod recording;
+pub mod teleport;
 pub mod turn;
 
+#[cfg(test)]
+mod head_tests;
 #[cfg(test)]
 mod parse_tests;
 #[cfg(test)]
 mod path_tests;
+#[cfg(test)]
+mod recording_tests;
 
-use glam::{DQuat, DVec3};
+use glam::{DMat3, DQuat, DVec3};
 
 pub use axes::{Axis, CameraAxes, QuatOrder};
 pub use built_in::built_in;
+pub use facts::PathFacts;
+pub use frame::{Frame, Heights};
+pub(crate) use import::g_nettrack_time;
+pub use look::Look;
 pub use place::Placement;
 
 /// Farthest coordinate accepted, metres.
@@ -34,6 +49,12 @@ const GAP_STEPS: f64 = 10.0;
 /// … or of more than this many seconds, unless the median step is more than half of that.
 const GAP_SECONDS: f64 = 2.0;
 
+/// A jump is a step of at most this many seconds (1 ms, and the rounding of times), and of at most this share of the median step …
+const JUMP_SECONDS: f64 = 1.000_001e-3;
+const JUMP_STEPS: f64 = 0.1;
+/// … across which the camera is more than this many times as fast as in the median step.
+const JUMP_SPEEDS: f64 = 100.0;
+
 /// Why there is no path.
 #[derive(Debug, thiserror::Error)]
 pub enum PathError {
@@ -47,8 +68,10 @@ pub enum PathError {
     },
     /// The content is of no path format that is read here.
     #[error(
-        "{name}, line {line}: `{found}` is not a supported path format; expected TUM lines (`t x y z qx qy qz qw`) or an \
-         EyeNavGS table (a header with ViewIndex, PositionX, …)"
+        "{name}, line {line}: `{found}` is not a supported path format; expected TUM lines (`t x y z qx qy qz qw`), an \
+         EyeNavGS table (a header with ViewIndex, PositionX, …), GPX, IGC, KML, ADS-B JSON (a list of records), a folder \
+         of comma2k19, a G-NetTrack table (a header with Timestamp, Longitude, Latitude, …) or a foresight-recording (JSON \
+         lines)"
     )]
     Unsupported {
         /// The file.
@@ -65,6 +88,16 @@ pub enum PathError {
         name: String,
         /// Line, counted from 1.
         line: usize,
+        /// What was found and what was expected.
+        message: String,
+    },
+    /// A place of a recognised format that is no line is wrong.
+    #[error("{name}, {place}: {message}")]
+    Place {
+        /// The file.
+        name: String,
+        /// A JSON path, a byte offset or an element.
+        place: String,
         /// What was found and what was expected.
         message: String,
     },
@@ -102,16 +135,24 @@ pub struct Pose {
 /// Between poses the position follows the cubic Hermite curve whose tangents are centred differences,
 /// (p_{i+1} − p_{i−1}) / (t_{i+1} − t_{i−1}), one-sided at the ends and beside a gap; the orientation goes along the
 /// shortest arc at constant speed. A *gap* is a step of more than 10 median steps, or of more than 2 s where the
-/// median step is at most half of that; across it the position goes straight, so that nothing overshoots.
+/// median step is at most half of that; across it the position goes straight, so that nothing overshoots. A *jump* is
+/// a step of at most 1 ms and a tenth of the median step, faster than 100 times the median speed: a teleport, or a cut.
+/// The pose before it holds until it ends, and the motion on either side is as if the other were not there.
 /// Before its start and after its end the camera rests, unless the path is looped.
 #[derive(Clone, Debug)]
 pub struct CameraPath {
     name: String,
     poses: Vec<Pose>,
+    frame: Frame,
+    /// Unit length; on the Earth that at the first pose.
     up: DVec3,
     notes: Vec<String>,
+    /// The middle one of the steps between poses, seconds.
+    median_step: f64,
     /// A longer step is a gap, seconds.
     gap: f64,
+    /// A step of at most so many seconds, faster than so many metres a second, is a jump.
+    jump: (f64, f64),
     looped: bool,
 }
 
@@ -125,10 +166,41 @@ impl CameraPath {
     pub fn new(name: &str, poses: Vec<Pose>, up: DVec3) -> Result<CameraPath, PathError> {
         let whole = |message: String| PathError::Whole { name: name.to_owned(), message };
         let up = up.try_normalize().ok_or_else(|| whole(format!("up {up}; expected a direction")))?;
-        let mut path =
-            CameraPath { name: name.to_owned(), poses, up, notes: Vec::new(), gap: f64::INFINITY, looped: false };
+        let mut path = CameraPath {
+            name: name.to_owned(),
+            poses,
+            frame: Frame::Local,
+            up,
+            notes: Vec::new(),
+            median_step: 0.0,
+            gap: f64::INFINITY,
+            jump: (0.0, 0.0),
+            looped: false,
+        };
         path.check()?;
         path.find_gaps();
+        Ok(path)
+    }
+
+    /// Other poses in the same frame, under the same name, without notes but those on gaps and jumps.
+    ///
+    /// # Errors
+    /// As [`CameraPath::new`].
+    pub fn with_poses(&self, poses: Vec<Pose>) -> Result<CameraPath, PathError> {
+        let mut path = CameraPath { poses, notes: Vec::new(), looped: false, ..self.clone() };
+        path.check()?;
+        path.find_gaps();
+        Ok(path)
+    }
+
+    /// A path of poses in Earth-centred coordinates, whose heights are above this.
+    ///
+    /// # Errors
+    /// As [`CameraPath::new`].
+    pub fn on_earth(name: &str, poses: Vec<Pose>, heights: Heights) -> Result<CameraPath, PathError> {
+        let up = poses.first().map_or(DVec3::Z, |pose| frame::earth_axes(pose.position).z_axis);
+        let mut path = CameraPath::new(name, poses, up)?;
+        path.frame = Frame::Earth(heights);
         Ok(path)
     }
 
@@ -170,6 +242,7 @@ impl CameraPath {
         let mut steps: Vec<f64> = self.poses.windows(2).map(|pair| pair[1].time - pair[0].time).collect();
         let middle = steps.len() / 2;
         let median = *steps.select_nth_unstable_by(middle, f64::total_cmp).1;
+        self.median_step = median;
         self.gap = (GAP_STEPS * median).min(GAP_SECONDS.max(2.0 * median));
         let gaps = steps.iter().filter(|&&step| step > self.gap).count();
         if gaps > 0 {
@@ -179,6 +252,21 @@ impl CameraPath {
                 self.gap
             ));
         }
+        let speed = |pair: &[Pose]| pair[0].position.distance(pair[1].position) / (pair[1].time - pair[0].time);
+        let mut speeds: Vec<f64> = self.poses.windows(2).map(speed).collect();
+        let median_speed = *speeds.select_nth_unstable_by(middle, f64::total_cmp).1;
+        self.jump = (JUMP_SECONDS.min(JUMP_STEPS * median), JUMP_SPEEDS * median_speed);
+        let jumps = (1..self.poses.len()).filter(|&i| self.jumps_to(i)).count();
+        if jumps > 0 {
+            self.notes.push(format!("{jumps} jumps within {:.3} ms", self.jump.0 * 1e3));
+        }
+    }
+
+    /// Whether the camera jumps from the pose before to pose `i`.
+    pub fn jumps_to(&self, i: usize) -> bool {
+        let Some([a, b]) = i.checked_sub(1).and_then(|before| self.poses.get(before..=i)) else { return false };
+        let step = b.time - a.time;
+        step <= self.jump.0 && a.position.distance(b.position) > self.jump.1 * step
     }
 
     /// The path as named.
@@ -191,9 +279,35 @@ impl CameraPath {
         &self.poses
     }
 
-    /// Unit vector that is up in the path's frame.
+    /// The frame of its positions and orientations.
+    pub fn frame(&self) -> Frame {
+        self.frame
+    }
+
+    /// Unit vector that is up in the path's frame; on the Earth, where up differs from place to place, at its first pose.
     pub fn up(&self) -> DVec3 {
         self.up
+    }
+
+    /// Two level axes and up at a position, as columns; on the Earth east, north and up.
+    pub fn level_axes(&self, position: DVec3) -> DMat3 {
+        match self.frame {
+            Frame::Earth(_) => frame::earth_axes(position),
+            Frame::Local => {
+                let (right, ahead) = frame::across(self.up);
+                DMat3::from_cols(right, ahead, self.up)
+            }
+        }
+    }
+
+    /// The middle one of the steps between poses, seconds.
+    pub fn median_step(&self) -> f64 {
+        self.median_step
+    }
+
+    /// A longer step between two poses is a gap, seconds.
+    pub fn gap(&self) -> f64 {
+        self.gap
     }
 
     /// What was repaired, assumed or done.
@@ -219,6 +333,9 @@ impl CameraPath {
         let Some(i) = next.checked_sub(1) else { return (self.poses[0].position, self.poses[0].orientation) };
         let a = self.poses[i];
         let Some(b) = self.poses.get(next) else { return (a.position, a.orientation) };
+        if self.jumps_to(next) {
+            return (a.position, a.orientation);
+        }
         let step = b.time - a.time;
         let u = (time - a.time) / step;
         let chord = b.position - a.position;
@@ -229,11 +346,11 @@ impl CameraPath {
         (a.position + chord * u + bend, shortest_arc(a.orientation, b.orientation, u))
     }
 
-    /// Tangent at pose `i` times `step`: centred difference, one-sided at an end or beside a gap.
+    /// Tangent at pose `i` times `step`: centred difference, one-sided at an end, beside a gap or beside a jump.
     fn tangent_step(&self, i: usize, step: f64) -> DVec3 {
-        let is_gap = |a: usize, b: usize| self.poses[b].time - self.poses[a].time > self.gap;
-        let before = if i == 0 || is_gap(i - 1, i) { i } else { i - 1 };
-        let after = if i + 1 == self.poses.len() || is_gap(i, i + 1) { i } else { i + 1 };
+        let is_break = |b: usize| self.poses[b].time - self.poses[b - 1].time > self.gap || self.jumps_to(b);
+        let before = if i == 0 || is_break(i) { i } else { i - 1 };
+        let after = if i + 1 == self.poses.len() || is_break(i + 1) { i } else { i + 1 };
         if before == after {
             return DVec3::ZERO;
         }
@@ -252,10 +369,11 @@ impl CameraPath {
         path
     }
 
-    /// BLAKE3 of the poses, up, and whether it is looped; not of the name.
+    /// BLAKE3 of the poses, up, whether it is on the Earth, and whether it is looped; not of the name.
     pub fn hash(&self) -> blake3::Hash {
         let mut hasher = blake3::Hasher::new();
-        hasher.update(&[u8::from(self.looped)]);
+        let earth = if self.frame == Frame::Local { 0 } else { 2 };
+        hasher.update(&[earth + u8::from(self.looped)]);
         let mut put = |values: &[f64]| {
             for value in values {
                 hasher.update(&value.to_bits().to_le_bytes());

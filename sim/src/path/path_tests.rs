@@ -4,7 +4,7 @@ use glam::{DQuat, DVec3};
 use proptest::prelude::*;
 
 use super::place::{Placement, Site, place};
-use super::{CameraPath, Pose, built_in, turn};
+use super::{CameraPath, Pose, built_in, teleport, turn};
 
 fn pose(time: f64, position: [f64; 3]) -> Pose {
     Pose { time, position: position.into(), orientation: DQuat::IDENTITY }
@@ -140,15 +140,26 @@ fn placement_on_a_planet_keeps_the_millimetre() {
 #[test]
 fn placements_are_parsed_and_refused() {
     assert_eq!("centre".parse::<Placement>().unwrap(), Placement::default());
-    assert_eq!("geo".parse::<Placement>().unwrap(), Placement::Geo);
+    assert_eq!("geo".parse::<Placement>().unwrap(), Placement::Geo { height: None });
+    let text = "geo,height=3";
+    assert_eq!(text.parse::<Placement>().unwrap().to_string(), text);
     let text = "centre,height=-7.5,yaw=10,scale=3";
     assert_eq!(text.parse::<Placement>().unwrap().to_string(), text);
-    for bad in ["", "center?", "geo,height=3", "centre,height", "centre,height=nan", "centre,scale=0", "centre,x=1"] {
+    for bad in [
+        "",
+        "center?",
+        "geo,yaw=3",
+        "geo,height=x",
+        "centre,height",
+        "centre,height=nan",
+        "centre,scale=0",
+        "centre,x=1",
+    ] {
         assert!(bad.parse::<Placement>().is_err(), "{bad}");
     }
     let site = Site { centre: DVec3::ZERO, up: DVec3::Z, ground_height: 0.0 };
-    let error = place(&built_in(), &Placement::Geo, &site).unwrap_err().to_string();
-    assert!(error.contains("this path carries no geographic coordinates"), "{error}");
+    let error = place(&built_in(), &Placement::Geo { height: None }, &site).unwrap_err().to_string();
+    assert!(error.contains("a world without geographic coordinates"), "{error}");
     for site in [
         Site { up: DVec3::ZERO, ..site },
         Site { up: DVec3::NAN, ..site },
@@ -203,6 +214,59 @@ fn made_paths_for_measurements() {
     assert!(turn::turn(1.0, 1.0).is_err());
 }
 
+#[test]
+fn a_teleport_is_instantaneous_and_leaves_no_trace_in_the_motion() {
+    for gap in [1e-9, 1e-6, 1e-3] {
+        let mut poses: Vec<Pose> = (0..60).map(|k| pose(f64::from(k) / 60.0, [f64::from(k), 0.0, 0.0])).collect();
+        let end = 60.0 / 60.0 - gap;
+        poses.push(pose(end, [60.0 * end, 0.0, 0.0]));
+        poses.extend((60..120).map(|k| pose(f64::from(k) / 60.0, [5000.0, f64::from(k), 0.0])));
+        let path = path(poses);
+        assert!(path.notes().iter().any(|note| note.starts_with("1 jumps")), "{:?}", path.notes());
+        for k in 0..=12_000 {
+            let t = f64::from(k) / 6000.0;
+            let (p, _) = path.at(t);
+            let expected = match t {
+                t if t >= 1.0 => DVec3::new(5000.0, 60.0 * t.min(119.0 / 60.0), 0.0),
+                t => DVec3::new(60.0 * t.min(end), 0.0, 0.0),
+            };
+            assert!(p.distance(expected) < 1e-8, "at {t}, gap {gap}: {p}");
+        }
+    }
+}
+
+#[test]
+fn the_made_teleports_walk_and_jump_as_told() {
+    let path = teleport::teleport(2.0, 60.0, 7.5, 300.0, 1).unwrap();
+    assert_eq!(path.duration(), 60.0);
+    let jumps: Vec<usize> = (1..path.poses().len()).filter(|&i| path.jumps_to(i)).collect();
+    assert_eq!(
+        jumps.iter().map(|&i| path.poses()[i].time).collect::<Vec<_>>(),
+        [7.5, 15.0, 22.5, 30.0, 37.5, 45.0, 52.5]
+    );
+    for i in 1..path.poses().len() {
+        let (a, b) = (path.poses()[i - 1], path.poses()[i]);
+        let (step, went) = (b.time - a.time, a.position.distance(b.position));
+        if jumps.contains(&i) {
+            assert!((1e-9..=1e-3).contains(&step) && (went - 300.0).abs() < 1e-5, "{step} s, {went} m");
+        } else {
+            assert!(
+                (went - 2.0 * step).abs() < 1e-9 && forward(a.orientation).distance(forward(b.orientation)) < 1e-12
+            );
+            assert!(forward(a.orientation).distance((b.position - a.position) / went) < 1e-6);
+        }
+        assert!(b.position.length() < 1000.0 && b.position.z == 0.0);
+    }
+    assert_eq!(path.hash(), teleport::teleport(2.0, 60.0, 7.5, 300.0, 1).unwrap().hash());
+    assert_ne!(path.hash(), teleport::teleport(2.0, 60.0, 7.5, 300.0, 2).unwrap().hash());
+    let standing = teleport::teleport(0.0, 3.0, 1.0, 5.0, 1).unwrap();
+    assert_eq!(standing.at(0.999).0, standing.at(0.0).0);
+    assert!((standing.at(1.0).0.length() - 5.0).abs() < 1e-9);
+    for (every, distance) in [(0.0, 5.0), (f64::NAN, 5.0), (99.0, 5.0), (1.0, 0.0), (1.0, f64::NAN), (1.0, 1e9)] {
+        assert!(teleport::teleport(2.0, 60.0, every, distance, 1).is_err());
+    }
+}
+
 prop_compose! {
     fn poses()(
         steps in proptest::collection::vec((prop_oneof![1e-9..1e-3f64, 0.01..0.02f64, 0.5..5.0f64, Just(3600.0)],
@@ -227,7 +291,12 @@ proptest! {
             prop_assert_eq!(p, pose.position);
             prop_assert!(q.angle_between(pose.orientation) < 1e-7);
             // From below it arrives at the pose.
-            if i > 0 {
+            if path.jumps_to(i) {
+                // Until then nothing of it is seen.
+                let (p, q) = path.at(pose.time.next_down());
+                let previous = path.poses()[i - 1];
+                prop_assert_eq!((p, q), (previous.position, previous.orientation));
+            } else if i > 0 {
                 let previous = path.poses()[i - 1];
                 let before = pose.time.next_down();
                 let (p, q) = path.at(before);

@@ -43,7 +43,7 @@ pub fn turn(speed: f64, duration: f64) -> Result<CameraPath, PathError> {
     })
 }
 
-fn check(name: &str, speed: f64, duration: f64, duration_min: f64) -> Result<(), PathError> {
+pub(super) fn check(name: &str, speed: f64, duration: f64, duration_min: f64) -> Result<(), PathError> {
     let fail = |message: String| Err(PathError::Whole { name: name.to_owned(), message });
     if !(0.0..=1e6).contains(&speed) {
         return fail(format!("a speed of {speed} m/s; expected 0 to 1e6"));

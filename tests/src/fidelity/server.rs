@@ -128,7 +128,7 @@ fn pace(trace: &LinkTrace, told: &Receiver<ToPacer>) {
                 }
                 ToPacer::Begin { id, stream, body } => {
                     link.start(id, body.len() as u64, now);
-                    responses.insert(id, Response { stream, body, joins: now + trace.rtt(), sent: None });
+                    responses.insert(id, Response { stream, body, joins: now + trace.rtt_at(now), sent: None });
                 }
                 ToPacer::Over { id } => {
                     if responses.remove(&id).is_some() {

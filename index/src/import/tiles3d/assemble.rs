@@ -53,15 +53,12 @@ pub(crate) fn assemble(folder: &Folder, name: &str, walked: Walked) -> Result<(W
     for (id, variant) in variants.iter().enumerate() {
         of_file[variant.file as usize].push(id as u32);
     }
-    let read: Vec<Read> = files
-        .par_iter()
-        .zip(&of_file)
-        .map(|(file, ids)| {
-            let linear = |id: &u32| &linears[variants[*id as usize].linear as usize];
-            let wanted = ids.iter().map(|id| (&variants[*id as usize], linear(id)));
-            read_content(folder, file, &wanted.collect::<Vec<_>>())
-        })
-        .collect();
+    let read_one = |(file, ids): (&String, &Vec<u32>)| {
+        let linear = |id: &u32| &linears[variants[*id as usize].linear as usize];
+        let wanted = ids.iter().map(|id| (&variants[*id as usize], linear(id)));
+        read_content(folder, file, &wanted.collect::<Vec<_>>())
+    };
+    let read: Vec<Read> = folder.source.in_parallel(|| files.par_iter().zip(&of_file).map(read_one).collect());
     let mut placed: Vec<Option<Placed>> = vec![None; variants.len()];
     for (read, ids) in read.iter().zip(&of_file) {
         for (&id, &found) in ids.iter().zip(&read.placed) {

@@ -7,10 +7,13 @@ mod assemble;
 mod content;
 mod declared;
 mod document;
+#[cfg(feature = "http")]
+mod http;
 mod implicit;
 mod limits;
 mod mesh;
 mod resolve;
+mod source;
 mod subtree;
 mod volume;
 mod walk;
@@ -24,12 +27,16 @@ use foresight_scheduler::lod_tree::{LodTreeError, RepId};
 
 pub use content::{ContentError, ContentKind, ContentSummary, content_summary};
 pub use document::{Content, DocumentError, GltfUp, ImplicitTiling, Refine, Tile, TilesetDocument, parse_tileset};
+#[cfg(feature = "http")]
+pub use http::open as open_url;
 pub use implicit::ImplicitError;
 pub use limits::MAX_TILES;
 pub use subtree::{Bits, Subtree, SubtreeError, parse_subtree};
 pub use volume::Volume;
 
-use crate::manifest::{self, ManifestError};
+pub(crate) use source::{MOSAIC_SOURCE, Source};
+
+use crate::manifest::{self, Manifest, ManifestError};
 use crate::world::{Note, Severity, World, WorldKind};
 
 /// Why a tileset cannot be opened.
@@ -128,7 +135,6 @@ pub fn open(file: &Path) -> Result<World, Tiles3dError> {
 pub(crate) struct Loaded {
     pub(crate) world: World,
     pub(crate) files: Vec<String>,
-    pub(crate) folder: PathBuf,
     /// Geometric error of the root tile, metres.
     pub(crate) root_error: f64,
     /// Up axis of the root document.
@@ -155,8 +161,22 @@ pub(crate) fn load(file: &Path, most: usize) -> Result<Loaded, Tiles3dError> {
         }
         _ => None,
     };
+    let stem = if name == "tileset.json" { named_folder(&path) } else { None };
+    let mut loaded = load_from(Source::Files(path), manifest, name, most)?;
+    loaded.world.name = stem
+        .unwrap_or_else(|| Path::new(name).file_stem().map_or_else(String::new, |s| s.to_string_lossy().into_owned()));
+    Ok(loaded)
+}
+
+/// Opens the tileset `name` of a source. The world is left without a name.
+pub(crate) fn load_from(
+    source: Source,
+    manifest: Option<Manifest>,
+    name: &str,
+    most: usize,
+) -> Result<Loaded, Tiles3dError> {
     let kind = if manifest.is_some() { WorldKind::Mosaic } else { WorldKind::Tiles3d };
-    let folder = resolve::Folder { path, manifest };
+    let folder = resolve::Folder { source, manifest };
     let walked = walk::Walk::run(&folder, name, most)?;
     let (root_error, gltf_up, version) = (walked.root_error, walked.gltf_up, walked.version.clone());
     let (mut world, mut files) = assemble::assemble(&folder, name, walked)?;
@@ -169,16 +189,22 @@ pub(crate) fn load(file: &Path, most: usize) -> Result<Loaded, Tiles3dError> {
         let file = "manifest.json".to_owned();
         world.notes.push(Note { severity: Severity::Trap, file, place: "$.stand_ins".to_owned(), text });
     }
-    let stem = if name == "tileset.json" { named_folder(&folder.path) } else { None };
-    world.name = stem
-        .unwrap_or_else(|| Path::new(name).file_stem().map_or_else(String::new, |s| s.to_string_lossy().into_owned()));
+    #[cfg(feature = "http")]
+    if let Source::Http(http) = &folder.source {
+        world.notes.push(Note {
+            severity: Severity::Trap,
+            file: name.to_owned(),
+            place: String::new(),
+            text: http.sum(),
+        });
+    }
     files.sort();
     files.dedup();
     let coarse_file = match folder.resolve("", &world.uri(RepId(0))) {
         resolve::Target::File { file, .. } => file,
         resolve::Target::Elsewhere | resolve::Target::Outside => String::new(),
     };
-    Ok(Loaded { world, files, folder: folder.path, root_error, gltf_up, version, coarse_file })
+    Ok(Loaded { world, files, root_error, gltf_up, version, coarse_file })
 }
 
 /// The name of a folder, found even if it was given as `.`.

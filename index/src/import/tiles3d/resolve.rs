@@ -1,18 +1,18 @@
 //! From the addresses in a tileset to files in its folder.
 
-use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use flate2::read::MultiGzDecoder;
 
 use super::limits::MAX_INFLATED;
+use super::source::Source;
 use crate::manifest::Manifest;
 
 /// The folder of a root tileset, with the manifest beside it if there is one.
 #[derive(Debug)]
 pub(crate) struct Folder {
-    pub(crate) path: PathBuf,
+    pub(crate) source: Source,
     pub(crate) manifest: Option<Manifest>,
 }
 
@@ -55,7 +55,7 @@ impl Folder {
 
     /// As [`Folder::read`], with the bytes that the file has as it is stored and sent.
     pub(crate) fn read_stored(&self, file: &str) -> std::io::Result<(Vec<u8>, u64)> {
-        let stored = std::fs::read(self.at(file))?;
+        let stored = self.source.read(file)?;
         let length = stored.len() as u64;
         if !stored.starts_with(b"\x1F\x8B") {
             return Ok((stored, length));
@@ -69,9 +69,9 @@ impl Folder {
         Ok((bytes, length))
     }
 
-    /// Where a file of the folder lies.
+    /// Where a file of the folder lies: its path, or its URL.
     pub(crate) fn at(&self, file: &str) -> PathBuf {
-        self.path.join(Path::new(file))
+        self.source.at(file)
     }
 
     /// Reads what `uri` names in a document at `base`: the file and its bytes. `None` if it is not a file of the folder.
@@ -91,12 +91,8 @@ impl Folder {
         match extension.as_deref() {
             Some("json") => true,
             Some("b3dm" | "glb" | "gltf" | "i3dm" | "pnts" | "cmpt") => false,
-            _ => {
-                let mut first = [0];
-                let read = File::open(self.at(file)).and_then(|mut file| file.read_exact(&mut first));
-                // JSON, or gzip, in which there is JSON rather than a content without an extension.
-                read.is_ok() && matches!(first, [b'{' | 0x1F])
-            }
+            // JSON, or gzip, in which there is JSON rather than a content without an extension.
+            _ => matches!(self.source.first_byte(file), Some(b'{' | 0x1F)),
         }
     }
 }
@@ -140,7 +136,7 @@ fn normalised(base: &str, path: &str) -> Option<String> {
     (!parts.is_empty()).then(|| parts.join("/"))
 }
 
-fn percent_decoded(text: &str) -> Option<String> {
+pub(super) fn percent_decoded(text: &str) -> Option<String> {
     if !text.contains('%') {
         return Some(text.to_owned());
     }
@@ -169,7 +165,7 @@ mod tests {
 
     #[test]
     fn addresses_stay_inside() {
-        let folder = Folder { path: PathBuf::from("w"), manifest: None };
+        let folder = Folder { source: Source::Files(PathBuf::from("w")), manifest: None };
         let file = |base: &str, uri: &str| match folder.resolve(base, uri) {
             Target::File { file, .. } => file,
             other => format!("{other:?}"),

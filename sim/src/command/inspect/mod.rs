@@ -7,11 +7,12 @@ mod world;
 use super::inputs::{self, PathArgs};
 use anyhow::bail;
 use clap::Args;
-use foresight_index::world::World;
+use foresight_index::specification;
+use foresight_index::world::{World, WorldError};
 use foresight_scheduler::benefit::cut::CutSettings;
 use foresight_sim::link::LinkTrace;
 use foresight_sim::outcome::regime;
-use foresight_sim::path::CameraPath;
+use foresight_sim::path::{CameraPath, parse::is_path_like};
 use foresight_sim::pressure::Needs;
 use std::io::Write;
 use std::path::Path;
@@ -32,24 +33,31 @@ enum Input {
     Link(LinkTrace),
 }
 
-/// Tries the three kinds; if none fits, says why each does not.
-fn recognise(file: &str, args: &PathArgs) -> anyhow::Result<Input> {
-    let generated = ["constant:", "steady", "turn"].iter().any(|p| file.starts_with(p));
+/// Tries the three kinds; if none fits, says why each does not. A table of positions and bitrates is a path and a link.
+fn recognise(file: &str, args: &PathArgs) -> anyhow::Result<Vec<Input>> {
+    if specification::is_specification(file) {
+        return Ok(vec![Input::World(Box::new(inputs::world_named(file)?))]);
+    }
+    let generated = file.starts_with("constant:") || inputs::MADE_PATHS.iter().any(|made| file.starts_with(made));
     if !generated && !Path::new(file.split(',').next().unwrap_or(file)).exists() {
         bail!("{file}: no such file or directory; expected a world, a path or a link");
     }
     let path = Path::new(file);
-    if path.is_dir() || path.extension().is_some_and(|e| e == "json") {
-        return Ok(Input::World(Box::new(foresight_index::world::open(path)?)));
+    if (path.is_dir() || path.extension().is_some_and(|e| e == "json")) && !is_path_like(path) {
+        return Ok(vec![Input::World(Box::new(foresight_index::world::open(path)?))]);
     }
-    let as_path = inputs::open_path(Some(file), args);
+    let as_path = inputs::open_vehicle(Some(file), args);
     let as_link = || foresight_sim::link::parse::from_specification(file);
     match as_path {
-        Ok(path) => Ok(Input::Path(path)),
+        Ok(path) => {
+            let link = if Path::new(file).is_file() { as_link().ok() } else { None };
+            Ok(std::iter::once(Input::Path(path)).chain(link.map(Input::Link)).collect())
+        }
         Err(path_error) => match as_link() {
-            Ok(link) => Ok(Input::Link(link)),
+            Ok(link) => Ok(vec![Input::Link(link)]),
             Err(link_error) => match foresight_index::world::open(path) {
-                Ok(world) => Ok(Input::World(Box::new(world))),
+                Ok(world) => Ok(vec![Input::World(Box::new(world))]),
+                Err(error @ WorldError::Elevation(_)) => Err(error.into()),
                 Err(_) => bail!("{file} is neither a path ({path_error:#}) nor a link ({link_error})"),
             },
         },
@@ -60,18 +68,20 @@ pub(crate) fn run(args: &InspectArgs) -> anyhow::Result<()> {
     let mut out = std::io::stdout().lock();
     let (mut worlds, mut paths, mut links) = (Vec::new(), Vec::new(), Vec::new());
     for file in &args.files {
-        match recognise(file, &args.path_args)? {
-            Input::World(world) => {
-                world::describe(&mut out, file, &world)?;
-                worlds.push(world);
-            }
-            Input::Path(path) => {
-                path::describe(&mut out, file, &path)?;
-                paths.push(path);
-            }
-            Input::Link(link) => {
-                link::describe(&mut out, file, &link)?;
-                links.push(link);
+        for input in recognise(file, &args.path_args)? {
+            match input {
+                Input::World(world) => {
+                    world::describe(&mut out, file, &world)?;
+                    worlds.push(world);
+                }
+                Input::Path(path) => {
+                    path::describe(&mut out, file, &path)?;
+                    paths.push(inputs::carry_head(path, &args.path_args)?);
+                }
+                Input::Link(link) => {
+                    link::describe(&mut out, file, &link)?;
+                    links.push(link);
+                }
             }
         }
     }
@@ -100,6 +110,9 @@ fn pressure(
     let seen = cuts.iter().filter(|c| c.total_weight > 0.0).count();
     let duration = placed.flight.duration();
     writeln!(out, "{} over {} ({}, {:.1} s)", path.name(), world.name, placed.place, duration.secs())?;
+    for note in placed.notes.iter().skip(path.notes().len()) {
+        writeln!(out, "  {note}")?;
+    }
     writeln!(out, "  something is in view in {:.1} % of the frames", 100.0 * seen as f64 / cuts.len() as f64)?;
     writeln!(
         out,

@@ -5,7 +5,7 @@ use glam::DVec3;
 use serde_json::json;
 
 use super::{Scratch, anywhere, b3dm, empty_tile, glb, png, rectangle, subtree, tile};
-use crate::generate::mosaic::{MosaicError, mosaic};
+use crate::generate::mosaic::{MosaicError, in_memory, mosaic};
 use crate::import::tiles3d::{ContentKind, content_summary};
 use crate::world::{Georeference, Severity, World};
 
@@ -217,6 +217,8 @@ fn a_mosaic_shares_one_copy() {
     assert_eq!(std::fs::read_dir(scratch.path()).unwrap().count(), 2);
     let again = mosaic(&scratch.path().join("in/start.json"), 3, &out, &mut |_, _| {}).unwrap_err();
     assert!(again.to_string().contains("not empty"), "{again}");
+    let unwritten = in_memory(&scratch.path().join("in/start.json"), 3).unwrap();
+    assert_eq!((unwritten.hash(), unwritten.kind, unwritten.notes), (world.hash(), world.kind, world.notes.clone()));
     let nested = mosaic(&out, 2, &scratch.path().join("out2"), &mut |_, _| {}).unwrap_err();
     assert!(matches!(nested, MosaicError::Kind { .. }), "{nested}");
 }
@@ -240,6 +242,7 @@ fn a_mosaic_copies_subtrees_and_external_tilesets() {
     let out = scratch.path().join("out");
     mosaic(&scratch.path().join("in"), 2, &out, &mut |_, _| {}).unwrap();
     let world = crate::world::open(&out).unwrap();
+    assert_eq!(in_memory(&scratch.path().join("in"), 2).unwrap().hash(), world.hash());
     assert_eq!(uris(&world)[1..], ["0_0", "1_0", "0_1", "1_1"].map(|cell| format!("cells/{cell}/deep/a.glb")));
 }
 

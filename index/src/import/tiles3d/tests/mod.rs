@@ -2,6 +2,8 @@
 
 mod closed_form;
 mod hostile;
+#[cfg(feature = "http")]
+mod http;
 mod real;
 
 use std::fs;

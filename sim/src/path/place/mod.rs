@@ -1,17 +1,28 @@
 //! Putting a path into a world.
 
+mod flatten;
+pub mod geo;
+
+#[cfg(test)]
+mod tests;
+
 use std::fmt;
 use std::str::FromStr;
 
+use foresight_index::world::World;
 use glam::{DQuat, DVec3};
 
-use super::{CameraPath, PathError, Pose};
+use super::frame::across;
+use super::{CameraPath, Frame, PathError, Pose};
 
 /// How a path is put into a world.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Placement {
     /// By geographic coordinates.
-    Geo,
+    Geo {
+        /// Lifts the path until its lowest pose over the world is that many metres above the ground there.
+        height: Option<f64>,
+    },
     /// The path's middle over the world's centre.
     Centre {
         /// Height of the path's middle above the ground at the world's centre, metres.
@@ -32,7 +43,8 @@ impl Default for Placement {
 impl fmt::Display for Placement {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Placement::Geo => f.write_str("geo"),
+            Placement::Geo { height: None } => f.write_str("geo"),
+            Placement::Geo { height: Some(height) } => write!(f, "geo,height={height}"),
             Placement::Centre { height, yaw, scale } => write!(f, "centre,height={height},yaw={yaw},scale={scale}"),
         }
     }
@@ -41,34 +53,75 @@ impl fmt::Display for Placement {
 impl FromStr for Placement {
     type Err = PathError;
 
-    /// `geo`, or `centre` followed by any of `,height=M`, `,yaw=DEGREES`, `,scale=X`.
+    /// `geo`, which `,height=M` may follow, or `centre` followed by any of `,height=M`, `,yaw=DEGREES`, `,scale=X`.
     fn from_str(text: &str) -> Result<Placement, PathError> {
         let fail = |message: String| PathError::Option { given: text.to_owned(), message };
         let mut parts = text.split(',');
-        match parts.next() {
-            Some("geo") if text == "geo" => return Ok(Placement::Geo),
-            Some("centre") => {}
+        let is_geo = match parts.next() {
+            Some("geo") => true,
+            Some("centre") => false,
             _ => return Err(fail("expected geo, or centre,height=2,yaw=0,scale=1".to_owned())),
-        }
-        let (mut height, mut yaw, mut scale) = (2.0, 0.0, 1.0);
+        };
+        let (mut height, mut yaw, mut scale) = (None, 0.0, 1.0);
         for part in parts {
             let (key, value) = part.split_once('=').unwrap_or((part, ""));
-            let (slot, range) = match key {
-                "height" => (&mut height, -1e7..=1e9),
-                "yaw" => (&mut yaw, -1e6..=1e6),
-                "scale" => (&mut scale, 1e-9..=1e9),
+            let range = match key {
+                "height" => -1e7..=1e9,
+                "yaw" if !is_geo => -1e6..=1e6,
+                "scale" if !is_geo => 1e-9..=1e9,
+                _ if is_geo => return Err(fail(format!("unknown key `{key}`; expected height"))),
                 _ => return Err(fail(format!("unknown key `{key}`; expected height, yaw or scale"))),
             };
-            *slot = match value.parse::<f64>() {
+            let number = match value.parse::<f64>() {
                 Ok(number) if range.contains(&number) => number,
                 _ => {
                     let (low, high) = (range.start(), range.end());
                     return Err(fail(format!("{key} `{value}`; expected a number from {low} to {high}")));
                 }
             };
+            match key {
+                "height" => height = Some(number),
+                "yaw" => yaw = number,
+                _ => scale = number,
+            }
         }
-        Ok(Placement::Centre { height, yaw, scale })
+        Ok(match is_geo {
+            true => Placement::Geo { height },
+            false => Placement::Centre { height: height.unwrap_or(2.0), yaw, scale },
+        })
     }
+}
+
+/// Puts the path into a world: as asked, else by geographic coordinates where both have them and the path comes over the
+/// world, else over its centre. Also says which it was.
+///
+/// # Errors
+/// Those of [`place`] and [`geo::place`], a world without ground.
+pub fn into_world(
+    path: &CameraPath,
+    placement: Option<Placement>,
+    world: &World,
+) -> Result<(CameraPath, Placement), PathError> {
+    let mut away = None;
+    if placement.is_none() && path.frame != Frame::Local && world.georeference.is_some() {
+        match geo::place(path, None, world) {
+            Ok(placed) if placed.is_over => return Ok((placed.path, Placement::Geo { height: None })),
+            Ok(_) => away = Some("it does not come over this world by its coordinates".to_owned()),
+            Err(error) => away = Some(error.to_string()),
+        }
+    }
+    let placement = placement.unwrap_or_default();
+    if let Placement::Geo { height } = placement {
+        return Ok((geo::place(path, height, world)?.path, placement));
+    }
+    let centre = world.tree.bounds(world.tree.root()).centre();
+    // Without a ground, as in space, heights count from the world's middle.
+    let ground_height = world.ground_height(centre).unwrap_or_else(|| centre.dot(world.up));
+    let mut placed = place(path, &placement, &Site { centre, up: world.up, ground_height })?;
+    if let Some(reason) = away {
+        placed.add_note(format!("placed over the world's centre: {reason}"));
+    }
+    Ok((placed, placement))
 }
 
 /// Where a world is, as far as a path needs to know.
@@ -82,7 +135,7 @@ pub struct Site {
     pub ground_height: f64,
 }
 
-/// Puts the path into a world. Its up becomes the world's, by the smallest rotation, then it is turned by yaw and scaled
+/// Puts the path over a world's centre. A path on the Earth is flattened first, see `flatten`. Its up becomes the world's, by the smallest rotation, then it is turned by yaw and scaled
 /// about its middle: the middle of its bounding box across the world's up, at the median height of its poses.
 ///
 /// # Errors
@@ -91,7 +144,14 @@ pub struct Site {
 pub fn place(path: &CameraPath, placement: &Placement, site: &Site) -> Result<CameraPath, PathError> {
     let whole = |message: String| PathError::Whole { name: path.name.clone(), message };
     let Placement::Centre { height, yaw, scale } = *placement else {
-        return Err(whole("this path carries no geographic coordinates; expected a placement `centre`".to_owned()));
+        return Err(whole("a world without geographic coordinates; expected a placement `centre`".to_owned()));
+    };
+    let flat;
+    let path = if path.frame == Frame::Local {
+        path
+    } else {
+        flat = flatten::flatten(path)?;
+        &flat
     };
     let up =
         site.up.try_normalize().ok_or_else(|| whole(format!("a world's up of {}; expected a direction", site.up)))?;
@@ -129,19 +189,4 @@ pub fn place(path: &CameraPath, placement: &Placement, site: &Site) -> Result<Ca
         CameraPath { poses: poses.collect(), up, notes: path.notes.clone(), name: path.name.clone(), ..*path };
     placed.check()?;
     Ok(placed)
-}
-
-/// Two unit vectors across `up` and each other: axes of the frame where `up` is one.
-fn across(up: DVec3) -> (DVec3, DVec3) {
-    let a = up.abs();
-    // The axis after the dominant one, so that z gives x and y gives z.
-    let seed = if a.z >= a.x && a.z >= a.y {
-        DVec3::X
-    } else if a.y >= a.x {
-        DVec3::Z
-    } else {
-        DVec3::Y
-    };
-    let east = (seed - up * seed.dot(up)).normalize();
-    (east, up.cross(east))
 }

@@ -1,0 +1,250 @@
+//! The distance between two surfaces: how far a point of either is from the other at most (Hausdorff, two-sided),
+//! max( max_{a∈A} min_{b∈B} |a − b|, max_{b∈B} min_{a∈A} |a − b| ), bracketed by branch and bound.
+//!
+//! A piece of a triangle with corners v is nowhere farther from the other surface than max |v − T| for any one of its
+//! triangles T, because the distance to a convex set is convex; and nowhere farther than the distance of its centroid plus
+//! its radius. The piece with the largest bound is halved until no bound exceeds the largest distance found by
+//! more than the tolerance (Guthe, Borodin & Klein 2005; Tang, Lee & Kim 2009).
+
+use std::cmp::Ordering;
+use std::collections::BinaryHeap;
+
+use glam::DVec3;
+use rstar::{AABB, PointDistance, RTree, RTreeObject};
+
+use super::Triangle;
+
+/// Relative and absolute (metres) tolerance of the bracket.
+const RELATIVE: f64 = 0.05;
+const ABSOLUTE: f64 = 0.01;
+/// Pieces that are looked at beyond one for each triangle, at most; then the bracket stays as wide as it is.
+const EXTRA_PIECES: usize = 20_000;
+
+/// A distance that is known to lie in an interval, metres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Bracket {
+    pub(crate) lower: f64,
+    pub(crate) upper: f64,
+}
+
+impl Bracket {
+    /// True if halving ended because the tolerance was reached.
+    pub(crate) fn is_tight(self) -> bool {
+        self.upper <= allowed(self.lower)
+    }
+}
+
+fn allowed(lower: f64) -> f64 {
+    (lower * (1.0 + RELATIVE)).max(lower + ABSOLUTE)
+}
+
+/// The two-sided distance of two surfaces. `None` if either has no triangle.
+pub(crate) fn between(a: &[Triangle], b: &[Triangle]) -> Option<Bracket> {
+    if a.is_empty() || b.is_empty() {
+        return None;
+    }
+    let index = |surface: &[Triangle]| RTree::bulk_load(surface.iter().copied().map(Indexed).collect());
+    let there = farthest(a, &index(b), 0.0);
+    // What is found the other way counts only if it is farther.
+    let back = farthest(b, &index(a), there.lower);
+    Some(Bracket { lower: there.lower.max(back.lower), upper: there.upper.max(back.upper) })
+}
+
+/// A triangle in the index.
+struct Indexed(Triangle);
+
+impl RTreeObject for Indexed {
+    type Envelope = AABB<[f64; 3]>;
+
+    fn envelope(&self) -> AABB<[f64; 3]> {
+        let [a, b, c] = self.0;
+        AABB::from_corners(a.min(b).min(c).to_array(), a.max(b).max(c).to_array())
+    }
+}
+
+impl PointDistance for Indexed {
+    fn distance_2(&self, point: &[f64; 3]) -> f64 {
+        let point = DVec3::from_array(*point);
+        (closest(&self.0, point) - point).length_squared()
+    }
+}
+
+/// The point of a segment nearest to `point`.
+fn closest_on_segment(a: DVec3, b: DVec3, point: DVec3) -> DVec3 {
+    let along = b - a;
+    let square = along.length_squared();
+    if square > 0.0 { a + along * ((point - a).dot(along) / square).clamp(0.0, 1.0) } else { a }
+}
+
+/// The point of a triangle nearest to `point`: inside if its projection falls there, else on an edge.
+fn closest(&[a, b, c]: &Triangle, point: DVec3) -> DVec3 {
+    let (ab, ac, ap) = (b - a, c - a, point - a);
+    let (uu, uv, vv) = (ab.length_squared(), ab.dot(ac), ac.length_squared());
+    let (up, vp) = (ab.dot(ap), ac.dot(ap));
+    let (v, w, whole) = (vv * up - uv * vp, uu * vp - uv * up, uu * vv - uv * uv);
+    if whole > 0.0 && v >= 0.0 && w >= 0.0 && v + w <= whole {
+        return a + ab * (v / whole) + ac * (w / whole);
+    }
+    let edges = [(a, b), (b, c), (c, a)].map(|(from, to)| closest_on_segment(from, to, point));
+    let nearer = |one: DVec3, other: DVec3| {
+        if (other - point).length_squared() < (one - point).length_squared() { other } else { one }
+    };
+    nearer(nearer(edges[0], edges[1]), edges[2])
+}
+
+/// A piece of a triangle, ordered by how far it may be from the other surface, then by age.
+struct Piece {
+    upper: f64,
+    age: usize,
+    corners: Triangle,
+}
+
+impl PartialEq for Piece {
+    fn eq(&self, other: &Piece) -> bool {
+        self.cmp(other) == Ordering::Equal
+    }
+}
+
+impl Eq for Piece {}
+
+impl PartialOrd for Piece {
+    fn partial_cmp(&self, other: &Piece) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl Ord for Piece {
+    fn cmp(&self, other: &Piece) -> Ordering {
+        self.upper.total_cmp(&other.upper).then(other.age.cmp(&self.age))
+    }
+}
+
+/// The largest distance of a point of `surface` from the other, no less than `known`.
+fn farthest(surface: &[Triangle], other: &RTree<Indexed>, known: f64) -> Bracket {
+    let mut lower = known;
+    let look = |corners: &Triangle, lower: &mut f64| -> f64 {
+        let [a, b, c] = *corners;
+        let centroid = (a + b + c) / 3.0;
+        let Some((nearest, square)) = other.nearest_neighbor_with_distance_2(centroid.to_array()) else {
+            return *lower;
+        };
+        let here = square.sqrt();
+        *lower = lower.max(here);
+        let radius = corners.iter().map(|&corner| (corner - centroid).length()).fold(0.0, f64::max);
+        let reach = |corner: DVec3| (closest(&nearest.0, corner) - corner).length();
+        let far = corners.iter().copied().max_by(|&one, &two| reach(one).total_cmp(&reach(two))).unwrap_or(centroid);
+        let upper = reach(far).min(here + radius).max(here);
+        if upper > allowed(*lower) {
+            // Extremes are often corners.
+            if let Some((_, square)) = other.nearest_neighbor_with_distance_2(far.to_array()) {
+                *lower = lower.max(square.sqrt());
+            }
+        }
+        upper
+    };
+    // The largest bound among pieces that need no halving.
+    let mut settled = 0.0_f64;
+    let mut pieces = BinaryHeap::new();
+    let mut made = 0;
+    for &corners in surface {
+        let upper = look(&corners, &mut lower);
+        if upper > allowed(lower) {
+            pieces.push(Piece { upper, age: made, corners });
+            made += 1;
+        } else {
+            settled = settled.max(upper);
+        }
+    }
+    for _ in 0..EXTRA_PIECES / 2 {
+        if pieces.peek().is_none_or(|piece| piece.upper <= allowed(lower)) {
+            break;
+        }
+        let Some(Piece { upper: bound, corners: [a, b, c], .. }) = pieces.pop() else { break };
+        let (ab, bc, ca) = ((b - a).length_squared(), (c - b).length_squared(), (a - c).length_squared());
+        let [a, b, c] = if ab >= bc && ab >= ca {
+            [a, b, c]
+        } else if bc >= ca {
+            [b, c, a]
+        } else {
+            [c, a, b]
+        };
+        let middle = 0.5 * (a + b);
+        for corners in [[a, middle, c], [middle, b, c]] {
+            let upper = look(&corners, &mut lower).min(bound);
+            if upper > allowed(lower) {
+                pieces.push(Piece { upper, age: made, corners });
+                made += 1;
+            } else {
+                settled = settled.max(upper);
+            }
+        }
+    }
+    let left = pieces.peek().map_or(0.0, |piece| piece.upper);
+    Bracket { lower, upper: lower.max(settled).max(left) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn square(z: f64, side: f64, cells: u32) -> Vec<Triangle> {
+        let step = side / f64::from(cells);
+        let at = |x: u32, y: u32| DVec3::new(f64::from(x) * step, f64::from(y) * step, z);
+        let cell = |x: u32, y: u32| {
+            let corners = [at(x, y), at(x + 1, y), at(x + 1, y + 1), at(x, y + 1)];
+            [[corners[0], corners[1], corners[2]], [corners[0], corners[2], corners[3]]]
+        };
+        (0..cells).flat_map(|y| (0..cells).flat_map(move |x| cell(x, y))).collect()
+    }
+
+    fn assert_holds(bracket: Bracket, distance: f64) {
+        assert!(bracket.lower <= distance + 1e-9 && distance <= bracket.upper + 1e-9, "{bracket:?} {distance}");
+        assert!(bracket.is_tight(), "{bracket:?}");
+    }
+
+    #[test]
+    fn known_distances() {
+        // Parallel planes, differently triangulated.
+        assert_holds(between(&square(0.0, 10.0, 1), &square(3.0, 10.0, 7)).unwrap(), 3.0);
+        // A smaller square within a larger one: the larger one's far corner is 5·√2 away, only that way.
+        assert_holds(between(&square(0.0, 5.0, 3), &square(0.0, 10.0, 2)).unwrap(), 5.0 * 2.0_f64.sqrt());
+        // The same surface cut otherwise.
+        assert_holds(between(&square(0.0, 10.0, 1), &square(0.0, 10.0, 5)).unwrap(), 0.0);
+        // A spike of 4 m over the middle of a flat square.
+        let apex = DVec3::new(5.0, 5.0, 4.0);
+        let corners = [[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]].map(|[x, y]| DVec3::new(x, y, 0.0));
+        let spike: Vec<Triangle> = (0..4).map(|at| [corners[at], corners[(at + 1) % 4], apex]).collect();
+        assert_holds(between(&spike, &square(0.0, 10.0, 1)).unwrap(), 4.0);
+        assert_eq!(between(&[], &spike), None);
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(48))]
+        #[test]
+        fn brackets_hold_for_random_surfaces(points in prop::collection::vec(prop::array::uniform3(-10.0..10.0f64), 6..30)) {
+            let points: Vec<DVec3> = points.into_iter().map(DVec3::from_array).collect();
+            let triangles: Vec<Triangle> = points.chunks_exact(3).map(|corners| [corners[0], corners[1], corners[2]]).collect();
+            let (a, b) = triangles.split_at(1);
+            let bracket = between(a, b).unwrap();
+            prop_assert!(bracket.is_tight());
+            // No sampled point is farther than the upper bound, none that the lower bound stands for is missing.
+            let mut sampled = 0.0_f64;
+            for (from, to) in [(a, b), (b, a)] {
+                for &[p, q, r] in from {
+                    for step in 0..=20_u32 {
+                        for other in 0..=20 - step {
+                            let (s, t) = (f64::from(step) / 20.0, f64::from(other) / 20.0);
+                            let point = p + (q - p) * s + (r - p) * t;
+                            let near = to.iter().map(|triangle| (closest(triangle, point) - point).length());
+                            sampled = sampled.max(near.fold(f64::INFINITY, f64::min));
+                        }
+                    }
+                }
+            }
+            prop_assert!(sampled <= bracket.upper + 1e-9, "{} {:?}", sampled, bracket);
+            // Samples lie at most 1/20 of the longest edge, 35 m, apart.
+            prop_assert!(bracket.lower <= sampled + 1.8, "{} {:?}", sampled, bracket);
+        }
+    }
+}
