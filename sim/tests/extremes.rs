@@ -3,6 +3,7 @@
 use foresight_scheduler::benefit::coverage::Refinement;
 use foresight_scheduler::benefit::cut::{Cut, CutSettings, Region};
 use foresight_scheduler::lod_tree::{Aabb, LodTree, LodTreeBuilder, Representation};
+use foresight_scheduler::policy::RIVALS;
 use foresight_scheduler::scheduler::SchedulerSettings;
 use foresight_scheduler::units::Time;
 use foresight_scheduler::view::View;
@@ -59,7 +60,7 @@ fn replay_all(tree: &LodTree, flight: &Flight, link: &LinkTrace, budget: u64, op
     let mut runs = Vec::new();
     for refinement in [Refinement::Partial, Refinement::Atomic] {
         for name in names() {
-            let has_options = !matches!(name, "lookahead" | "3d-tiles-renderer");
+            let has_options = RIVALS.iter().all(|rival| rival.name != name);
             let text = format!("{name}{}", if has_options { options } else { "" });
             let spec = PolicySpec::parse_list(&text, 0.7, 16.0).unwrap().remove(0);
             let scheduler = SchedulerSettings { refinement, ..SchedulerSettings::with_budget(budget) };
