@@ -3,7 +3,6 @@
 use foresight_scheduler::benefit::coverage::Refinement;
 use foresight_scheduler::benefit::cut::{Cut, CutSettings, Region};
 use foresight_scheduler::lod_tree::{Aabb, LodTree, LodTreeBuilder, Representation};
-use foresight_scheduler::policy::RIVALS;
 use foresight_scheduler::scheduler::SchedulerSettings;
 use foresight_scheduler::units::Time;
 use foresight_scheduler::view::View;
