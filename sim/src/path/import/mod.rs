@@ -29,6 +29,7 @@ use super::parse::Options;
 use super::{CameraPath, PathError};
 
 pub(super) use comma2k19::{from_folder, is_array, is_folder};
+pub(crate) use irish5g::time_of as g_nettrack_time;
 
 /// Most bytes that a compressed file may hold …
 const DECOMPRESSED_BYTES_MAX: u64 = 1 << 30;
@@ -55,6 +56,8 @@ pub enum Format {
     AdsB,
     /// A G-NetTrack table with positions and bitrates.
     Irish5g,
+    /// Our own recording.
+    Recording,
 }
 
 impl fmt::Display for Format {
@@ -67,6 +70,7 @@ impl fmt::Display for Format {
             Format::Kml => "KML",
             Format::AdsB => "ADS-B JSON",
             Format::Irish5g => "a G-NetTrack table",
+            Format::Recording => "a foresight-recording",
         })
     }
 }
@@ -86,6 +90,7 @@ fn recognise(name: &str, bytes: &[u8]) -> Result<Format, PathError> {
                 _ => Err(PathError::Unsupported { name: name.to_owned(), line: 1, found: format!("<{root}>") }),
             };
         }
+        Some(b'{') if super::recording::is_recording(text) => return Ok(Format::Recording),
         Some(b'[' | b'{') => return Ok(Format::AdsB),
         _ => {}
     }
@@ -140,6 +145,7 @@ pub(super) fn read_as(format: Format, name: &str, bytes: &[u8], options: &Option
         Format::Kml => kml::read(name, bytes),
         Format::AdsB => adsb::read(name, bytes, options),
         Format::Irish5g => irish5g::read(name, text_lines(name, bytes)?),
+        Format::Recording => super::recording::path_from_bytes(name, bytes, options),
     }
 }
 
