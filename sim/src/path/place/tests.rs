@@ -2,12 +2,14 @@
 
 use foresight_index::geodesy::{Geodetic, Projection};
 use foresight_index::ground::Ground;
-use foresight_index::world::{Georeference, World, built_in_city};
+use foresight_index::world::{self, Georeference, World, built_in_city};
 use foresight_scheduler::lod_tree::{Aabb, LodTreeBuilder, Representation};
 use glam::{DQuat, DVec3};
 use proptest::prelude::*;
 
 use super::super::look::{Aim, aim};
+use super::super::parse::{Options, from_file};
+use super::super::parse_tests::data;
 use super::super::{CameraPath, Frame, Heights, Pose, built_in, turn};
 use super::flatten::flatten;
 use super::geo::from_projected as read_projected;
@@ -204,6 +206,32 @@ fn without_a_placement_coordinates_count_where_both_meet() {
     let moved = placed.at(1.0).0 - placed.at(0.0).0;
     assert!(moved.distance(DVec3::Y * 111.13) < 0.05, "{moved}");
     assert!(forward(placed.at(0.5).1).distance(DVec3::Y) < 1e-4);
+}
+
+#[test]
+fn a_real_helicopter_over_the_real_city_beneath_it() {
+    let (Some(paths), Some(scenes)) = (data("paths"), data("scenes")) else { return };
+    let path = from_file(&paths.join("aircraft_rega_zh.json.gz"), &Options::default()).unwrap();
+    let city = world::open(&scenes.join("zurich_subset_lod2.city.json")).unwrap();
+    assert!(matches!(city.georeference, Some(Georeference::Epsg(2056))), "{:?}", city.georeference);
+    let (placed, placement) = into_world(&path, None, &city).unwrap();
+    assert_eq!(placement, Placement::Geo { height: None });
+    // About half of its samples lie over the city, between its roofs and a kilometre above them.
+    let over = placed.notes().iter().find(|note| note.contains("poses lie over the world")).unwrap();
+    assert_eq!(over, "placed by coordinates: 154 of 337 poses lie over the world");
+    let bounds = city.tree.bounds(city.tree.root());
+    for pose in placed.poses() {
+        let p = pose.position;
+        if p.truncate().cmpge(bounds.min.truncate()).all() && p.truncate().cmple(bounds.max.truncate()).all() {
+            assert!((10.0..1000.0).contains(&(p.z - city.ground_height(p).unwrap())), "{p}");
+        }
+    }
+    // The scale of the grid is 1 to 10⁻⁴ here.
+    let steps = path.poses().windows(2).zip(placed.poses().windows(2));
+    for (earth, grid) in steps {
+        let (a, b) = (earth[0].position.distance(earth[1].position), grid[0].position.distance(grid[1].position));
+        assert!((a - b).abs() < 1e-3 * a + 1e-3, "{a} {b}");
+    }
 }
 
 proptest! {
