@@ -49,7 +49,7 @@ impl Scene {
             scheduler: SchedulerSettings::with_budget(BUDGET),
             preloaded: &[],
         };
-        let spec = PolicySpec::parse_list(policy, 0.7, 16.0).expect("the policy exists").remove(0);
+        let spec = PolicySpec::parse_list(policy, 0.7, None).expect("the policy exists").remove(0);
         let policy = spec.build(&self.tree, &self.flight, link, Time::ZERO);
         replay(stage, policy).unwrap_or_else(|error| panic!("{}: {error}", spec.label))
     }
