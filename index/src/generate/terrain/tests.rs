@@ -16,6 +16,18 @@ fn the_quadtree_covers_the_square() {
     let bounds = world.summary().bounds;
     assert_eq!((bounds.min.truncate(), bounds.max.truncate()), (DVec2::splat(-5120.0), DVec2::splat(5120.0)));
     assert!(bounds.min.z >= 0.0 && bounds.max.z <= 2000.0 && bounds.max.z - bounds.min.z > 300.0, "{bounds:?}");
+    // Of more than one subtree that is modelled by itself, a tile is what it is by itself.
+    let params = TerrainParams { size: 70.0 * 640.0, ..small() };
+    let (world, shape) = (terrain(&params).unwrap(), params.shape().unwrap());
+    let mut tiles = Vec::new();
+    shape.preorder([0, shape.levels - 1], 0, 0, &mut tiles);
+    assert_eq!((tiles.len(), shape.levels), (world.tree.representations(), 8));
+    let fractal = params.fractal(&shape);
+    for (rep, &(level, x, y)) in tiles.iter().enumerate().step_by(97) {
+        let model = model::tile(&params, &shape, &fractal, shape.tiles(level), x, y);
+        assert_eq!(world.tree.wire_bytes(RepId(rep as u32)), u64::from(model.wire_bytes), "{level} {x} {y}");
+        assert_eq!(world.uri(RepId(rep as u32)), format!("{level}/{x}/{y}.glb"));
+    }
     let odd = TerrainParams { size: 5.0 * 640.0, ..small() };
     assert_eq!(terrain(&odd).unwrap().tree.representations(), 25 + 9 + 4 + 1);
 }
