@@ -16,7 +16,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::document::{GenerateError, Key, MAX_REPRESENTATIONS, ParamError, Params, length, range};
+use super::document::{GenerateError, Key, MAX_REPRESENTATIONS, ParamError, Params, length, put, range};
 use super::random::Random;
 use crate::ground::Ground;
 use crate::uris::UriTableBuilder;
@@ -52,23 +52,23 @@ impl Params for AsteroidParams {
         Key {
             name: "count",
             expected: "models, a whole number",
-            set: |params, text| Some(params.count = text.parse().ok()?),
+            set: |params, text| put(&mut params.count, text.parse().ok()),
         },
-        Key { name: "seed", expected: "a whole number", set: |params, text| Some(params.seed = text.parse().ok()?) },
+        Key { name: "seed", expected: "a whole number", set: |params, text| put(&mut params.seed, text.parse().ok()) },
         Key {
             name: "triangles",
             expected: "triangles of a model",
-            set: |params, text| Some(params.triangles = text.parse().ok()?),
+            set: |params, text| put(&mut params.triangles, text.parse().ok()),
         },
         Key {
             name: "spacing",
             expected: "a length such as 1km",
-            set: |params, text| Some(params.spacing = length(text)?),
+            set: |params, text| put(&mut params.spacing, length(text)),
         },
         Key {
             name: "radius",
             expected: "a length such as 200m",
-            set: |params, text| Some(params.radius = length(text)?),
+            set: |params, text| put(&mut params.radius, length(text)),
         },
     ];
 

@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 
 use self::fractal::Fractal;
 use self::model::TileModel;
-use super::document::{GenerateError, Key, MAX_REPRESENTATIONS, ParamError, Params, length, range};
+use super::document::{GenerateError, Key, MAX_REPRESENTATIONS, ParamError, Params, length, put, range};
 use crate::ground::Ground;
 use crate::terrain::TILE_CELLS;
 use crate::uris::UriTableBuilder;
@@ -53,22 +53,26 @@ impl Params for TerrainParams {
     const SCHEMA_VERSION: u32 = 1;
     const FILE_NAME: &'static str = "terrain.json";
     const KEYS: &'static [Key<TerrainParams>] = &[
-        Key { name: "size", expected: "a length such as 40km", set: |params, text| Some(params.size = length(text)?) },
+        Key {
+            name: "size",
+            expected: "a length such as 40km",
+            set: |params, text| put(&mut params.size, length(text)),
+        },
         Key {
             name: "resolution",
             expected: "a length such as 10m",
-            set: |params, text| Some(params.resolution = length(text)?),
+            set: |params, text| put(&mut params.resolution, length(text)),
         },
-        Key { name: "seed", expected: "a whole number", set: |params, text| Some(params.seed = text.parse().ok()?) },
+        Key { name: "seed", expected: "a whole number", set: |params, text| put(&mut params.seed, text.parse().ok()) },
         Key {
             name: "relief",
             expected: "a length such as 2km",
-            set: |params, text| Some(params.relief = length(text)?),
+            set: |params, text| put(&mut params.relief, length(text)),
         },
         Key {
             name: "texels",
             expected: "a whole number",
-            set: |params, text| Some(params.texels = text.parse().ok()?),
+            set: |params, text| put(&mut params.texels, text.parse().ok()),
         },
     ];
 

@@ -128,7 +128,7 @@ fn a_written_terrain_is_opened_as_what_was_measured() {
     let world = open(&out).unwrap();
     assert!(world.notes.is_empty(), "{:?}", world.notes);
     assert_eq!((world.up, world.tree.representations()), (DVec3::Z, 14));
-    let sizes: u64 = (0..14).map(|rep| u64::from(world.tree.wire_bytes(RepId(rep)))).sum();
+    let sizes: u64 = (0..14).map(|rep| world.tree.wire_bytes(RepId(rep))).sum();
     assert_eq!(sizes, written.bytes);
     // The same surface as the catalogue's, and the same errors as an elevation grid would have.
     let catalogue = terrain(&params).unwrap();
