@@ -49,7 +49,7 @@ impl Scene {
             scheduler: SchedulerSettings::with_budget(BUDGET),
             preloaded: &[],
         };
-        let spec = PolicySpec::parse_list(policy, 0.7, 16.0).expect("the policy exists").remove(0);
+        let spec = PolicySpec::parse_list(policy, 0.7, None).expect("the policy exists").remove(0);
         let policy = spec.build(&self.tree, &self.flight, link, Time::ZERO);
         replay(stage, policy).unwrap_or_else(|error| panic!("{}: {error}", spec.label))
     }
@@ -124,7 +124,8 @@ fn failures_are_seeded_and_the_same_for_all() {
     assert!((1800..2200).contains(&breaks.len()), "{}", breaks.len());
     let mean = breaks.iter().sum::<u64>() as f64 / breaks.len() as f64;
     assert!((mean - 500.0).abs() < 30.0 && breaks.iter().all(|&b| b < 1000), "{mean}");
-    assert_ne!(link.breaks_after(4, 1, u64::MAX), link.breaks_after(4, 2, u64::MAX));
+    let always = link.with_loss(1.0, 7).expect("a probability");
+    assert_ne!(always.breaks_after(4, 1, u64::MAX), always.breaks_after(4, 2, u64::MAX));
 }
 
 #[test]

@@ -13,8 +13,14 @@ fn policy_agrees_with(name: &str) {
         return;
     }
     let viewer = VIEWERS.iter().find(|viewer| viewer.name == name).expect("a name of VIEWERS");
-    let browser =
-        Browser::install(&packages_folder().expect("a folder for packages")).expect("a browser and its packages");
+    let browser = match Browser::install(&packages_folder().expect("a folder for packages")) {
+        Ok(browser) => browser,
+        Err(error) => {
+            assert!(std::env::var_os("CI").is_none_or(|value| value != "true"), "{error}");
+            println!("skipped: {error}");
+            return;
+        }
+    };
     // Without recorded data the generated city is left.
     let data = foresight_tests::data();
     for case in cases(data.as_deref()).expect("cases").into_iter().map(Arc::new).filter(|case| viewer.plays(case)) {

@@ -12,8 +12,9 @@
 //!   when the one above it is there or on its way. Directions of an orthoview are one level.
 //! - The thesis chooses levels by Pareto fronts and image metrics measured beforehand (§4.5, §5.1). Here an object is
 //!   refined until geometric error · pixels per radian / distance ≤ target.
-//! - "Higher priority to objects nearby" has no formula: weight = 1 / d, d the distance to the centre of the node's
-//!   box, rounded to powers of two.
+//! - "Higher priority to objects nearby" has no formula: weight = 1 / d, d the distance to the node's box, not less than
+//!   the radius of the smallest box in the world, rounded to powers of two. So a level shared by many objects weighs
+//!   as the nearest of them does.
 //! - A proxy can split the link at will, a client can only choose what to request. Shares are approximated in whole
 //!   requests by deficit round robin over the powers of two of the distance: each ring of distance is credited bytes in
 //!   proportion to its weight times the number of its streams, and the one whose next request is paid for first gets
@@ -26,14 +27,14 @@
 //! - The number of streams at a time has no limit; requests in flight: 4.
 //! - The safe margin of 10 % of the bandwidth is the proxy's, not the client's: it is not held back.
 //! - The thesis drops nothing. Here the least recently used goes when room is needed. Used is what is in view or within
-//!   the area of interest, as far as memory holds it: lowest levels in view first, then the nearest, nothing before
-//!   the level above it, lowest levels out of view last; only that is requested. When room is still missing, requests
-//!   wait for what is on its way, and when nothing is, what does not fit is passed over.
+//!   the area of interest, as far as memory holds it: level after level, nearest first in each, lowest levels out of
+//!   view last; only that is requested. When room is still missing, requests wait for what is on its way, and when
+//!   nothing is, what does not fit is passed over.
 //! - Where children replace their parent together, siblings out of view are streams like those in view.
 //! - A failed request is made again.
 
 use super::downloads::{Asked, Downloads};
-use super::tiles_renderer::tile::{Tile, tiles_of};
+use super::tileset::tile::{Tile, tiles_of};
 use super::{Policy, Rival};
 use crate::benefit::coverage::Refinement;
 use crate::benefit::frustum::{Frustum, Side};
@@ -94,10 +95,8 @@ enum Branch {
 struct Looked {
     branch: Branch,
     missing: bool,
-    /// Metres, to the centre of the box.
+    /// Metres.
     distance: f64,
-    /// Not less than that of what is above it.
-    reach: f64,
     tile: u32,
 }
 
@@ -153,9 +152,9 @@ pub struct WeightedProxy {
     settings: WeightedProxySettings,
     tiles: Vec<Tile>,
     contents: Vec<RepId>,
+    /// Radius of the smallest box that is not a point, metres.
+    smallest: f64,
     looked_at: Vec<Looked>,
-    /// Per tile looked at, the greatest distance from the root down to it.
-    reach: Vec<f64>,
     streams: Vec<Stream>,
     /// Shares of the high and of the normal branch.
     shares: [Shares; 2],
@@ -168,12 +167,14 @@ impl WeightedProxy {
     /// A client of `tree`.
     pub fn new(tree: &LodTree, settings: WeightedProxySettings) -> WeightedProxy {
         let (tiles, contents, _) = tiles_of(tree);
+        let radii = tiles.iter().map(|tile| tree.half(tile.node).length()).filter(|&r| r > 0.0);
+        let smallest = radii.fold(f64::INFINITY, f64::min);
         let shares = Shares { credit: [0.0; RINGS] };
         WeightedProxy {
             settings,
             contents,
+            smallest: if smallest.is_finite() { smallest } else { 0.0 },
             looked_at: Vec::new(),
-            reach: vec![0.0; tiles.len()],
             streams: Vec::new(),
             shares: [shares.clone(), shares],
             high_in_flight: Vec::new(),
@@ -208,8 +209,6 @@ impl WeightedProxy {
                 next = tile.subtree_end;
                 continue;
             }
-            let above = self.reach.get(tile.parent as usize).copied().unwrap_or(0.0);
-            self.reach[id as usize] = above;
             if tile.is_empty() {
                 next = id + 1;
                 continue;
@@ -222,10 +221,7 @@ impl WeightedProxy {
             let own = self.own(&tile);
             let missing = own.iter().any(|&r| state.status(r) == Status::Absent);
             bytes += own.iter().map(|&r| tree.decoded_bytes(r)).sum::<u64>();
-            let centre = to_centre.length();
-            let reach = above.max(centre);
-            self.reach[id as usize] = reach;
-            self.looked_at.push(Looked { branch, missing, distance: centre, reach, tile: id });
+            self.looked_at.push(Looked { branch, missing, distance: distance.max(self.smallest), tile: id });
             let refine = !missing && in_view && tile.error * frustum.pixels_per_radian > target * distance;
             next = if refine { id + 1 } else { tile.subtree_end };
         }
@@ -235,9 +231,10 @@ impl WeightedProxy {
     }
 
     fn keep_what_fits(&mut self, state: &ClientState) {
+        let depth = |looked: &Looked| self.tiles[looked.tile as usize].depth;
         self.looked_at.sort_unstable_by(|a, b| {
-            let by_reach = a.reach.total_cmp(&b.reach);
-            a.branch.cmp(&b.branch).then(by_reach).then(a.tile.cmp(&b.tile))
+            let by_level = a.branch.cmp(&b.branch).then(depth(a).cmp(&depth(b)));
+            by_level.then(a.distance.total_cmp(&b.distance)).then(a.tile.cmp(&b.tile))
         });
         let mut bytes = 0;
         let fitting = self.looked_at.iter().take_while(|looked| {

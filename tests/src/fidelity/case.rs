@@ -159,7 +159,7 @@ impl Case {
 
     /// Replays a policy with its options.
     pub(super) fn replay(&self, policy: &str) -> Result<Replayed, CaseError> {
-        let spec = PolicySpec::parse_list(policy, 0.7, ERROR_TARGET_PX)?.swap_remove(0);
+        let spec = PolicySpec::parse_list(policy, 0.7, Some(ERROR_TARGET_PX))?.swap_remove(0);
         let tree = &self.world.tree;
         let cuts = self.flight.cuts(tree, &Default::default());
         let refinement = Refinement::Atomic;
