@@ -12,10 +12,8 @@ use crate::mesh::{Mesh, Original, Triangle};
 
 /// Most triangles of a tile at its finest level: some 40 kB as GLB.
 pub(super) const MAX_TILE_TRIANGLES: usize = 3072;
-/// Triangles below which a simplified tile is asked for half of those beneath it.
-const LEAST_TRIANGLES: usize = 512;
-/// A simplified tile is asked for one in this many triangles of the coarsest levels beneath it.
-const KEPT: usize = 4;
+/// A simplified tile has at most one in this many triangles of the coarsest levels beneath it.
+const KEPT: usize = 3;
 /// A simplified representation is used if it has at most this share of the bytes that it stands for.
 const WORTHWHILE: f64 = 0.7;
 /// Items that fill less than this share of their tile on the plane are told apart, however few their triangles,
@@ -140,21 +138,22 @@ impl Packer<'_> {
         let least_error = mesh.narrowing;
         let mut levels = vec![Level { wire_bytes, decoded_bytes, error: least_error, is_loose: false }];
         let mut coarsest = mesh.triangles.len();
-        let mut add = |mesh: &Mesh, share: f64| {
+        let mut add = |mesh: &Mesh, share: f64, error: Option<Bracket>| {
             let finer = levels[levels.len() - 1];
             let sizes = mesh.sizes().filter(|&(wire, _)| f64::from(wire) < share * f64::from(finer.wire_bytes));
-            if let Some((sizes, bracket)) = sizes.zip(distance::error(&mesh.corners(), &finest)) {
-                levels.push(level(sizes, bracket, finer.error));
+            let Some(sizes) = sizes else { return };
+            if let Some(error) = error.or_else(|| distance::error(&mesh.corners(), &finest)) {
+                levels.push(level(sizes, error, finer.error));
                 coarsest = coarsest.min(mesh.triangles.len());
             }
         };
         if changes.is_empty() {
-            if let Some(coarse) = fewer(&mesh, mesh.triangles.len()) {
-                add(&coarse, WORTHWHILE);
+            if let Some((coarse, error)) = fewer(&mesh, mesh.triangles.len(), &finest) {
+                add(&coarse, WORTHWHILE, Some(error));
             }
         }
         for &change in changes.iter().rev() {
-            add(&Mesh::weld(origin, corners(&shown(change))), 1.0);
+            add(&Mesh::weld(origin, corners(&shown(change))), 1.0, None);
         }
         levels.reverse();
         coarsest = coarsest.max(mesh.triangles.len() / KEPT);
@@ -163,10 +162,9 @@ impl Packer<'_> {
     }
 }
 
-/// The mesh with one in [`KEPT`] of `coarsest` triangles, or with more if that is still worthwhile.
-fn fewer(mesh: &Mesh, coarsest: usize) -> Option<Mesh> {
-    let target = (coarsest / KEPT).max(LEAST_TRIANGLES.min(coarsest / 2)).min(MAX_TILE_TRIANGLES);
-    simplified(mesh, target, (mesh.triangles.len() * 2 / 3).min(MAX_TILE_TRIANGLES))
+/// The mesh with one in [`KEPT`] of `coarsest` triangles.
+fn fewer(mesh: &Mesh, coarsest: usize, finest: &[Original]) -> Option<(Mesh, Bracket)> {
+    simplified(mesh, (coarsest / KEPT).min(MAX_TILE_TRIANGLES), finest)
 }
 
 fn level((wire_bytes, decoded_bytes): (u32, u32), bracket: Bracket, least: f64) -> Level {
@@ -185,10 +183,10 @@ fn inner(bounds: Aabb, mut children: Vec<Packed>) -> Option<Packed> {
     let below_bytes: u64 = children.iter().map(|child| child.source_bytes).sum();
     let least_error = children.iter().map(|child| child.least_error).fold(0.0, f64::max);
     let mesh = Mesh::weld(bounds.centre().round(), below.iter().copied());
-    let found = fewer(&mesh, coarsest).and_then(|mesh| {
+    let found = fewer(&mesh, coarsest, &finest).and_then(|(mesh, error)| {
         let sizes = mesh.sizes().filter(|&(wire, _)| f64::from(wire) <= WORTHWHILE * below_bytes as f64)?;
         let corners = mesh.corners();
-        let own = level(sizes, distance::error(&corners, &finest)?, least_error);
+        let own = level(sizes, error, least_error);
         Some((own, corners))
     });
     let children: Vec<Tile> = children.into_iter().map(|child| child.tile).collect();

@@ -72,7 +72,7 @@ fn mamre_is_transformed_twice() {
     // The terrain rises from 145 to 240 m.
     let ground = world.ground_height(summary.bounds.centre()).unwrap();
     assert!((145.0..240.0).contains(&ground), "{ground}");
-    assert!((20..80).contains(&summary.leaves) && error_at_the_root(&world) < 200.0, "{summary:?}");
+    assert!((20..80).contains(&summary.leaves) && error_at_the_root(&world) < 400.0, "{summary:?}");
 }
 
 #[test]
@@ -95,11 +95,11 @@ fn a_tile_of_3dbag() {
     assert_eq!(world.georeference, Some(Georeference::Epsg(28992)));
     assert_near(middle(&world), [52.05, 4.31], 0.03);
     assert!((summary.bounds.max - summary.bounds.min).max_element() < 640.0);
-    // The file's levels 1.2, 1.3 and 2.2 in most tiles.
+    // The file's levels 1.2, 1.3 and 2.2 in half of the tiles.
     let tree = &world.tree;
     let leaves = (0..tree.nodes() as u32).map(NodeId).filter(|&node| tree.is_leaf(node));
     let levels: Vec<usize> = leaves.map(|leaf| tree.own(leaf).len()).collect();
-    assert!(levels.iter().filter(|&&levels| levels >= 3).count() * 3 >= levels.len() * 2, "{levels:?}");
+    assert!(levels.iter().filter(|&&levels| levels >= 3).count() * 2 >= levels.len(), "{levels:?}");
     let finest: u64 = (0..tree.representations() as u32)
         .map(RepId)
         .filter(|&r| tree.error(r) < 1e-3)
