@@ -37,7 +37,7 @@
 //!   for what is on its way, and when nothing is, passes over what does not fit, and what is finer than chosen is no
 //!   longer kept until its replacement comes.
 //! - Where children replace their parent together, nothing differs: the engine draws node by node.
-//! - From 2.23 on the default is another mode, `distance`, which ignores the errors; not this.
+//! - `lodFalloff` is not followed. From 2.23 on the default is another mode, `distance`, which ignores the errors.
 
 use super::downloads::{Asked, Downloads};
 use super::tileset::tile::{Tile, shown_beneath, tiles_of};
