@@ -6,8 +6,7 @@ use foresight_index::generate::asteroids::AsteroidParams;
 use foresight_index::generate::city::CityParams;
 use foresight_index::generate::document;
 use foresight_index::generate::terrain::TerrainParams;
-use foresight_index::import::elevation;
-use foresight_index::import::tiles3d;
+use foresight_index::import::{cityjson, elevation, tiles3d};
 use foresight_index::manifest;
 use foresight_sim::path::parse::{Format, Options};
 use foresight_sim::{link, path};
@@ -20,6 +19,7 @@ pub const TARGETS: &[(&str, Parser)] = &[
     ("adsb", |bytes| path_as(Format::AdsB, bytes)),
     ("asteroids", |bytes| outcome(document::parse::<AsteroidParams>(bytes))),
     ("city", |bytes| outcome(document::parse::<CityParams>(bytes))),
+    ("cityjson", |bytes| outcome(cityjson::parse(bytes, "model"))),
     ("comma2k19", comma2k19),
     ("content", |bytes| outcome(tiles3d::content_summary(bytes))),
     ("delay", |bytes| outcome(link::delay::parse("delay", bytes))),

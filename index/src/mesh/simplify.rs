@@ -4,27 +4,25 @@ use meshopt::{SimplifyOptions, simplify_decoder, simplify_sloppy_decoder};
 
 use super::Mesh;
 
-/// A result of at most this many times the triangles asked for is taken.
-const SLACK: f64 = 1.5;
 /// No limit on the library's own error, relative to the mesh: the error is measured afterwards.
 const ANY_ERROR: f32 = 10.0;
 
-/// The mesh with about `target` triangles. Of three ways the first that comes near that: collapsing edges, which keeps
-/// every component; the same while dropping small components; vertex clustering, which keeps no topology. `None` if
-/// nothing with fewer triangles came out.
-pub(crate) fn simplified(mesh: &Mesh, target: usize) -> Option<Mesh> {
+/// The mesh with about `target` and at most `most` triangles. By collapsing edges and dropping the smallest components,
+/// whichever costs less; if that is enough with every border kept, as of a piece of terrain, with every border kept. Where
+/// topology does not allow so few, by clustering vertices. `None` if that fails too.
+pub(crate) fn simplified(mesh: &Mesh, target: usize, most: usize) -> Option<Mesh> {
     let indices: Vec<u32> = mesh.triangles.iter().flatten().copied().collect();
     let wanted = 3 * target.min(mesh.triangles.len());
-    let most = (SLACK * wanted as f64) as usize;
-    let collapse = |options| simplify_decoder(&indices, &mesh.positions, wanted, ANY_ERROR, options, None);
-    let mut found = collapse(SimplifyOptions::None);
-    if found.len() > most {
-        found = collapse(SimplifyOptions::Prune);
+    let is_accepted = |found: &[u32]| !found.is_empty() && found.len() < indices.len() && found.len() <= 3 * most;
+    let collapsed = |options| simplify_decoder(&indices, &mesh.positions, wanted, ANY_ERROR, options, None);
+    let mut found = collapsed(SimplifyOptions::Prune | SimplifyOptions::LockBorder);
+    if !is_accepted(&found) {
+        found = collapsed(SimplifyOptions::Prune);
     }
-    if found.len() > most || found.is_empty() {
+    if !is_accepted(&found) {
         found = simplify_sloppy_decoder(&indices, &mesh.positions, wanted, ANY_ERROR, None);
     }
-    (!found.is_empty() && found.len() < indices.len()).then(|| compacted(mesh, &found))
+    is_accepted(&found).then(|| compacted(mesh, &found))
 }
 
 /// The triangles that `indices` names, with the vertices that they need in order of first use.

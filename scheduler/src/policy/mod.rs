@@ -1,4 +1,91 @@
 //! Policies: what to fetch next, each in a file under its published name.
+//!
+//! # Adding a policy
+//!
+//! A new file here, and its module's name in the list of `rivals!` below: the command line, the comparison, its report
+//! and the properties that hold in every replay then include it. This is a whole such file (inside the crate,
+//! `crate::` stands for `foresight_scheduler::`). Its head states the rule, where it comes from, every constant, and
+//! what was settled where the source leaves a choice.
+//!
+//! ```
+//! //! `nearest-first`: whatever is nearest, one after the other, until memory is full. Drops nothing.
+//!
+//! use foresight_scheduler::lod_tree::RepId;
+//! use foresight_scheduler::policy::{Policy, Rival, RivalSettings};
+//! use foresight_scheduler::scheduler::Action;
+//! use foresight_scheduler::state::{ClientState, Status};
+//! use foresight_scheduler::units::Time;
+//! use foresight_scheduler::view::View;
+//! use glam::DVec3;
+//!
+//! /// How a comparison offers it.
+//! pub const RIVAL: Rival = Rival {
+//!     name: "nearest-first",
+//!     about: "the nearest first, nothing dropped",
+//!     error_target_px: None,
+//!     parallel: 4,
+//!     build: |_tree, settings| Box::new(NearestFirst { parallel: settings.parallel, queue: Vec::new() }),
+//! };
+//!
+//! struct NearestFirst {
+//!     parallel: usize,
+//!     /// Metres and what is there, nearest last.
+//!     queue: Vec<(f64, RepId)>,
+//! }
+//!
+//! impl Policy for NearestFirst {
+//!     fn name(&self) -> &str {
+//!         RIVAL.name
+//!     }
+//!
+//!     fn observe(&mut self, state: &ClientState, view: &View, _now: Time) {
+//!         let tree = state.tree;
+//!         let distance = |rep| {
+//!             let node = tree.node_of(rep);
+//!             ((tree.centre(node) - view.position).abs() - tree.half(node)).max(DVec3::ZERO).length()
+//!         };
+//!         self.queue = (0..tree.representations() as u32).map(|id| (distance(RepId(id)), RepId(id))).collect();
+//!         // A total order, so that every machine decides alike.
+//!         self.queue.sort_by(|a, b| b.0.total_cmp(&a.0).then(b.1.cmp(&a.1)));
+//!     }
+//!
+//!     fn decide(&mut self, state: &ClientState, now: Time) -> Action {
+//!         while state.requests().len() < self.parallel {
+//!             let Some((_, rep)) = self.queue.pop() else { break };
+//!             let fits = state.request_bytes(rep) <= state.free_bytes();
+//!             if state.status(rep) == Status::Absent && state.has_prerequisite(rep) && fits {
+//!                 return Action::Fetch { rep, discard_on_arrival: Vec::new() };
+//!             }
+//!         }
+//!         Action::WaitUntil(now + Time::from_secs(1.0 / 60.0))
+//!     }
+//! }
+//! # use foresight_scheduler::lod_tree::{Aabb, LodTreeBuilder, Representation};
+//! # use foresight_scheduler::scheduler::{Scheduler, SchedulerSettings};
+//! # let mut builder = LodTreeBuilder::default();
+//! # builder.open()?;
+//! # for x in [30.0, 10.0] {
+//! #     builder.open()?;
+//! #     let (wire_bytes, decoded_bytes) = (1000, 4000);
+//! #     builder.add(Representation { wire_bytes, decoded_bytes, error: 0.0, prerequisite: None, direction: None })?;
+//! #     builder.close(Some(Aabb { min: DVec3::new(x, 0.0, 0.0), max: DVec3::new(x + 1.0, 1.0, 1.0) }), 1.0)?;
+//! # }
+//! # builder.close(None, 1.0)?;
+//! # let tree = builder.finish()?;
+//! # let policy = (RIVAL.build)(&tree, &RivalSettings { error_target_px: 16.0, parallel: RIVAL.parallel });
+//! # let mut scheduler = Scheduler::new(&tree, SchedulerSettings::with_budget(1 << 20), policy);
+//! # let (position, orientation) = (DVec3::ZERO, glam::DQuat::IDENTITY);
+//! # scheduler.observe(&View { position, orientation, fov_y: 1.0, viewport: [800, 600] }, Time::ZERO)?;
+//! # for rep in [RepId(1), RepId(0)] {
+//! #     assert_eq!(scheduler.next(Time::ZERO)?, Action::Fetch { rep, discard_on_arrival: Vec::new() });
+//! # }
+//! # assert!(matches!(scheduler.next(Time::ZERO)?, Action::WaitUntil(_)));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! A policy that is wrong about what is possible is refused by the scheduler, and no client is harmed. One that decides
+//! once per frame, keeps what it uses and drops the least recently used finds that in `downloads.rs`. Tests with
+//! trees made by hand, where the order of requests follows from the rule, go to `scheduler/tests/rivals/`.
 
 pub mod added_benefit;
 mod downloads;

@@ -29,8 +29,8 @@
 //! - Error ↔ geometric error ÷ r: the tool that writes streamed splats measures them relative to the node.
 //! - The best run is looked for 16 levels down; the error of several tiles is their mean by surface.
 //! - `lodBehindPenalty`, `lodUpdateAngle` and `lodUnderfillLimit` are those of the engine's streaming examples. Its
-//!   defaults, 1, 0 and 0, show nothing of a node until its chosen level has come. No tree here is deeper than 10
-//!   loads, so that the limit of 10 does not bind.
+//!   defaults, 1, 0 and 0, show nothing of a node until its chosen level has come. `lodUnderfillLimit` does not bind
+//!   here, however deep the tree.
 //! - What is no longer wanted leaves the queue at the next balance; as shipped, a level queued as the next step stays
 //!   there, and delays the others.
 //! - Memory cannot be overdrawn: what cools down goes before the request, if that makes room. If not, the queue waits

@@ -226,9 +226,7 @@ impl TilesRenderer {
             }
         }
         let waiting = &self.waiting;
-        self.pending.retain(|&r| {
-            matches!(state.status(r), Status::InFlight | Status::Arrived) || waiting.contains(&r)
-        });
+        self.pending.retain(|&r| matches!(state.status(r), Status::InFlight | Status::Arrived) || waiting.contains(&r));
         let traversal = Traversal {
             tree: state.tree,
             frustum: Frustum::new(view),

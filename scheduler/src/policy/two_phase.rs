@@ -9,6 +9,7 @@
 //! - A panorama ↔ the set that its position requires, whatever the direction: the coarsest cut with g · pixels per
 //!   radian / d ≤ target, d (m) from the position to the node's box; the finest there is where nothing meets the target.
 //!   There is no visibility polyhedron: everything at a distance counts as visible.
+//! - Contents of one node and error, the directions of an orthoview, are loaded together.
 //! - The track: the announced path, if there is one; else straight on in the direction in which the viewer has moved
 //!   since V₁, at the start and after standing still in that of the view. V₁ is where the viewer was when the segment
 //!   began, the others follow at the distance L, along the path. The next segment begins L from V₁, whichever way.

@@ -1,6 +1,6 @@
 use crate::session::{Dice, Session, cube, random_tree, rep, turned, two_levels, view_at};
 use core::f64::consts::PI;
-use foresight_scheduler::lod_tree::{LodTree, LodTreeBuilder, RepId};
+use foresight_scheduler::lod_tree::{LodTree, LodTreeBuilder, RepId, Representation};
 use foresight_scheduler::policy::playcanvas::{PlayCanvas, PlayCanvasSettings};
 use proptest::prelude::*;
 
@@ -109,6 +109,30 @@ fn a_level_that_is_not_better_is_left_out() {
         order.extend(s.fetched());
     }
     assert_eq!(order, [0, 2]);
+}
+
+#[test]
+fn the_queue_serves_first_come_first() {
+    // One load at a time, which takes 15 frames. When the first object's coarse level is there, the third one's has
+    // been waiting for longer than the first one's fine level.
+    let mut b = LodTreeBuilder::default();
+    b.open().unwrap();
+    for x in [-10.0, 0.0, 10.0] {
+        b.open().unwrap();
+        b.add(rep(1, 10.0)).unwrap();
+        b.add(Representation { decoded_bytes: 2000, ..rep(1, 0.0) }).unwrap();
+        b.close(Some(cube([x, 0.0, -20.0], 1.0)), 1.0).unwrap();
+    }
+    b.close(None, 1.0).unwrap();
+    let tree = b.finish().unwrap();
+    let settings = PlayCanvasSettings { max_loads: 1, ..Default::default() };
+    let mut s = Session::new(&tree, AMPLE, Box::new(PlayCanvas::new(&tree, settings)), 67);
+    let mut order = Vec::new();
+    for _ in 0..80 {
+        s.tick(&view_at(0.0, 0.0, 0.0));
+        order.extend(s.fetched());
+    }
+    assert_eq!(order, [0, 2, 4, 1, 3, 5]);
 }
 
 #[test]

@@ -1,6 +1,6 @@
 use crate::session::{Dice, Session, cube, random_tree, rep, turned, two_levels, view_at};
 use core::f64::consts::PI;
-use foresight_scheduler::lod_tree::{LodTree, LodTreeBuilder};
+use foresight_scheduler::lod_tree::{LodTree, LodTreeBuilder, Representation};
 use foresight_scheduler::policy::two_phase::{TwoPhase, TwoPhaseSettings};
 use foresight_scheduler::units::Time;
 use proptest::prelude::*;
@@ -120,6 +120,28 @@ fn what_is_in_no_set_goes_least_recently_in_one_first() {
     }
     assert_eq!(gone, [1]);
     assert_eq!([1, 3, 5].map(|r| s.resident(r)), [false, true, true]);
+}
+
+#[test]
+fn the_queue_ends_where_memory_does() {
+    // 1 kB on the wire and 10 kB in memory each, memory for two: what is in view. Turned round, the third comes first,
+    // and of the two behind, at the same angle, the first in the tree.
+    let mut b = LodTreeBuilder::default();
+    b.open().unwrap();
+    for z in [-50.0, 30.0, -40.0] {
+        b.open().unwrap();
+        b.add(Representation { decoded_bytes: 10_000, ..rep(1, 0.1) }).unwrap();
+        b.close(Some(cube([0.0, 0.0, z], 1.0)), 1.0).unwrap();
+    }
+    b.close(None, 1.0).unwrap();
+    let tree = b.finish().unwrap();
+    let mut s = session(&tree, 25_000, 4, 1_000_000);
+    let view = view_at(0.0, 0.0, 0.0);
+    s.tick(&view);
+    assert_eq!(s.fetched(), [2, 0]);
+    s.ticks(5, &view);
+    s.tick(&turned(view, PI));
+    assert_eq!((s.discarded(), s.fetched()), (vec![2], vec![1]));
 }
 
 proptest! {

@@ -1,6 +1,7 @@
 //! `replay`: compares policies.
 
 use super::inputs::{self, PathArgs};
+use super::runs::Recorder;
 use anyhow::{Context, bail};
 use clap::Args;
 use foresight_scheduler::benefit::coverage::Refinement;
@@ -11,6 +12,7 @@ use foresight_sim::compare::{Memory, Plan, compare, starts};
 use foresight_sim::outcome::{Comparison, Inputs};
 use foresight_sim::policies::PolicySpec;
 use foresight_sim::report;
+use foresight_sim::stopwatch::Stopwatch;
 use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
 
@@ -91,6 +93,10 @@ pub(crate) struct ReplayArgs {
     /// Write report.html and comparison.json into this directory
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
+    /// Record the run in this store, a SQLite file or a postgres:// URL; without a value in the user's own, which `runs`
+    /// reads
+    #[arg(long, value_name = "FILE|URL", num_args = 0..=1, default_missing_value = "")]
+    store: Option<String>,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
@@ -121,9 +127,21 @@ impl ReplayArgs {
             announce: None,
             no_bound: false,
             report: Some(PathBuf::from("report")),
+            store: None,
             json: false,
             threads: None,
         }
+    }
+
+    /// What the results depend on beside the inputs that the comparison names.
+    #[cfg(feature = "runs")]
+    pub(crate) fn other_settings(&self) -> serde_json::Value {
+        serde_json::json!({
+            "error_target": self.error_target,
+            "decode_rate": self.decode_rate,
+            "upload_budget": self.upload_budget,
+            "opening": self.opening,
+        })
     }
 }
 
@@ -177,6 +195,8 @@ pub(crate) fn use_threads(threads: Option<u32>) -> anyhow::Result<()> {
 
 pub(crate) fn run(args: ReplayArgs) -> anyhow::Result<()> {
     use_threads(args.threads)?;
+    let watch = Stopwatch::start();
+    let recorder = args.store.as_deref().map(Recorder::open).transpose()?;
     let shows_progress = std::io::stderr().is_terminal() && !args.json;
     let comparison = execute(&args, &|done, all| {
         if shows_progress {
@@ -199,6 +219,12 @@ pub(crate) fn run(args: ReplayArgs) -> anyhow::Result<()> {
         let file = report::write_with_command(&comparison, dir, &command)?;
         if !args.json {
             writeln!(out, "report: {}", file.display())?;
+        }
+    }
+    if let Some(mut recorder) = recorder {
+        let place = recorder.record(&comparison, &args, watch, None)?;
+        if !args.json {
+            writeln!(out, "{place}")?;
         }
     }
     Ok(())

@@ -1,5 +1,6 @@
 //! ADS-B states in JSON: a list of records with `timestamp` (ms since 1970), `icao24`, `callsign`, `latitude` and
-//! `longitude` (degrees), `altitude` (feet, by air pressure), `geoaltitude` (feet, by GNSS), `groundspeed` (knots); others are ignored, and a
+//! `longitude` (degrees), `altitude` (feet, by air pressure), `geoaltitude` (feet, by GNSS), `groundspeed` (knots), `last_position` (ms
+//! since 1970, when the position was received: the position's time where all records have it); others are ignored, and a
 //! record may lack any.
 
 use std::cell::Cell;
@@ -27,6 +28,9 @@ const SPEED_MARGIN: f64 = 0.2;
 /// Transponders report altitudes in steps of so many feet, or in finer ones.
 const ALTITUDE_STEP: f64 = 25.0;
 
+/// A position's reception is at most so long before its record, seconds.
+const RECEPTION_MAX: f64 = 60.0;
+
 /// Aircraft that a note names.
 const NAMED_MAX: usize = 8;
 
@@ -40,6 +44,7 @@ struct Record {
     altitude: Option<f64>,
     geoaltitude: Option<f64>,
     groundspeed: Option<f64>,
+    last_position: Option<f64>,
 }
 
 /// A state with a position: seconds, degrees, feet, knots.
@@ -51,6 +56,8 @@ struct State {
     pressure: Option<f64>,
     gnss: Option<f64>,
     ground_speed: Option<f64>,
+    /// When the position was received, seconds.
+    received: Option<f64>,
 }
 
 #[derive(Default)]
@@ -59,6 +66,8 @@ struct Aircraft {
     callsigns: BTreeSet<String>,
     /// Records without time or position.
     incomplete: usize,
+    /// Times are those when positions were received.
+    is_by_reception: bool,
 }
 
 impl Aircraft {
@@ -66,6 +75,17 @@ impl Aircraft {
         let callsigns: Vec<&str> = self.callsigns.iter().take(3).map(String::as_str).collect();
         let callsigns = if callsigns.is_empty() { "no callsign".to_owned() } else { callsigns.join(" ") };
         format!("{icao24} ({callsigns}, {} positions)", self.states.len())
+    }
+
+    /// Puts each position at the time when it was received, where every record knows that.
+    fn use_reception(&mut self) {
+        let is_near = |state: &State| state.received.is_some_and(|at| (at - state.time).abs() <= RECEPTION_MAX);
+        self.is_by_reception = self.states.iter().all(is_near);
+        if self.is_by_reception {
+            for state in &mut self.states {
+                state.time = state.received.unwrap_or(state.time);
+            }
+        }
     }
 
     fn start(&self) -> f64 {
@@ -93,6 +113,9 @@ impl Aircraft {
         }
         if self.incomplete > 0 {
             track.add_note(format!("{} records of {icao24} without time or position left out", self.incomplete));
+        }
+        if self.is_by_reception {
+            track.add_note("times are those of last_position, when each position was received");
         }
         let both = || self.states.iter().filter_map(|state| Some(state.gnss? - state.pressure?));
         let count = both().count();
@@ -175,17 +198,19 @@ pub(super) fn read(name: &str, bytes: &[u8], options: &Options) -> Result<Camera
     let mut aimed = aim(&path, Aim::Path(&target, earlier));
     let together = |time: f64| (0.0..=target.duration()).contains(&(time + earlier));
     let distances = path.poses().iter().filter(|pose| together(pose.time));
-    let distances: Vec<f64> = distances.map(|pose| pose.position.distance(target.at(pose.time + earlier).0)).collect();
-    let (low, high) = distances.iter().fold((f64::INFINITY, 0.0_f64), |(low, high), d| (low.min(*d), high.max(*d)));
-    aimed.add_note(if distances.is_empty() {
-        format!("{other_id} is never under way at the same time: the camera looks along the motion")
-    } else {
-        format!(
-            "the camera is aimed at {}, {low:.0} m to {high:.0} m away, in {} of {} poses",
+    let mut distances: Vec<f64> =
+        distances.map(|pose| pose.position.distance(target.at(pose.time + earlier).0)).collect();
+    distances.sort_by(f64::total_cmp);
+    aimed.add_note(match (distances.first(), distances.last()) {
+        (Some(nearest), Some(farthest)) => format!(
+            "the camera is aimed at {} in {} of {} poses, {nearest:.0} m to {farthest:.0} m away, half of the time nearer \
+             than {:.0} m",
             other.name(other_id),
             distances.len(),
-            path.poses().len()
-        )
+            path.poses().len(),
+            distances[distances.len() / 2]
+        ),
+        _ => format!("{other_id} is never under way at the same time: the camera looks along the motion"),
     });
     Ok(aimed)
 }
@@ -200,6 +225,7 @@ fn fleet(name: &str, bytes: &[u8]) -> Result<Fleet, PathError> {
         place: format!("[{}]", count.get()),
         message: error.to_string(),
     })?;
+    fleet.values_mut().for_each(Aircraft::use_reception);
     Ok(fleet)
 }
 
@@ -239,6 +265,7 @@ impl<'de> Visitor<'de> for Records<'_> {
                     pressure: record.altitude,
                     gnss: record.geoaltitude,
                     ground_speed: record.groundspeed,
+                    received: record.last_position.map(|milliseconds| milliseconds * 1e-3),
                 }),
                 _ => aircraft.incomplete += 1,
             }
