@@ -152,7 +152,7 @@ pub fn terrain(params: &TerrainParams) -> Result<World, GenerateError> {
 
 /// Levels of the subtrees that are modelled side by side.
 const SUBTREE_LEVELS: u32 = 6;
-/// Subtrees modelled at a time: about 10 MB.
+/// Subtrees modelled at a time: at most 4 MB.
 const SUBTREES: usize = 32;
 
 impl Shape {

@@ -68,7 +68,7 @@ fn refuses_what_is_too_large() {
     assert!(terrain(&TerrainParams { size: f64::NAN, ..small() }).is_err());
 }
 
-/// The model against tiles that are made: 4096 × 4096 cells of 10 m, their errors measured sample by sample.
+/// The model against tiles that are made: 1024 × 1024 cells of 10 m, their errors measured sample by sample.
 #[test]
 fn the_model_fits_tiles_that_are_made() {
     let params = TerrainParams { size: 16.0 * 640.0, texels: 0, ..small() };

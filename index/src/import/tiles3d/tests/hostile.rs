@@ -141,7 +141,7 @@ fn files_that_are_something_else() {
         (b"# timestamp tx ty tz qx qy qz qw\n0 0 0 0 0 0 0 1\n".as_slice(), "# timestamp"),
         (b"", "nothing in it"),
         (b"\x89PNG\r\n", "PNG"),
-        (b"{\"type\": \"CityJSON\"}", "no member \"asset\""),
+        (b"{\"type\": \"Topology\"}", "no member \"asset\""),
         (b"{\"asset\": {\"version\": \"1.0\"}}", "no member \"root\""),
         (b"{\"asset\": {\"version\": \"7.0\"}}", "7.0"),
         (b"{\"asset\"", "expected JSON"),
