@@ -1,7 +1,7 @@
 //! CityJSON 1.0, 1.1 and 2.0, and CityJSONSeq: city models as surfaces of objects with levels of detail.
 //!
 //! Objects are batched into tiles, their levels in the file become levels of the tiles, and tiles above hold simplified
-//! surfaces ([`tiles`]). Errors are measured distances between surfaces. World space is the file's reference system:
+//! surfaces. Errors are measured distances between surfaces. World space is the file's reference system:
 //! x east, y north, z up, metres. The same file gives the same world wherever the simplifier computes in plain
 //! single precision, without fused multiply-add: on every x86-64.
 

@@ -147,10 +147,10 @@ impl Packer<'_> {
                 coarsest = coarsest.min(mesh.triangles.len());
             }
         };
-        if changes.is_empty() {
-            if let Some((coarse, error)) = fewer(&mesh, mesh.triangles.len(), &finest) {
-                add(&coarse, WORTHWHILE, Some(error));
-            }
+        if changes.is_empty()
+            && let Some((coarse, error)) = fewer(&mesh, mesh.triangles.len(), &finest)
+        {
+            add(&coarse, WORTHWHILE, Some(error));
         }
         for &change in changes.iter().rev() {
             add(&Mesh::weld(origin, corners(&shown(change))), 1.0, None);

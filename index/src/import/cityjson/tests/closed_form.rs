@@ -185,7 +185,7 @@ fn terrain_is_split_and_simplified() {
     assert!(tree.errors_fall());
     let finest: u64 =
         leaves.iter().filter_map(|&leaf| tree.own(leaf).next_back()).map(|rep| tree.decoded_bytes(rep)).sum();
-    assert!(finest >= 65 * 65 * 12 + 8192 * 6 && finest < 66 * 72 * 12 + 8192 * 6, "{finest}");
+    assert!((65 * 65 * 12 + 8192 * 6..66 * 72 * 12 + 8192 * 6).contains(&finest), "{finest}");
     let root = tree.own(tree.root()).next().unwrap();
     assert!(tree.wire_bytes(root) < finest / 2 && tree.error(root) > 0.0 && tree.error(root) < 20.0);
     for node in nodes() {
