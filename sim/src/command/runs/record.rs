@@ -134,6 +134,9 @@ fn settings(inputs: &Inputs, other: Value) -> Value {
         "viewport": inputs.viewport,
         "fov_y_deg": inputs.fov_y_deg,
     });
+    if let Some(seconds) = inputs.announce_s {
+        settings["announce_s"] = json!(seconds);
+    }
     if let (Value::Object(all), Value::Object(other)) = (&mut settings, other) {
         all.extend(other);
     }
