@@ -13,6 +13,8 @@ pub mod import;
 pub mod manifest;
 #[cfg(feature = "cityjson")]
 mod mesh;
+#[cfg(feature = "runs")]
+pub mod runs;
 pub mod specification;
 #[cfg(feature = "terrain")]
 pub mod terrain;

@@ -15,6 +15,7 @@ pub struct SpecificationError {
     expected: &'static str,
 }
 
+#[cfg(feature = "tiles3d")]
 const MOSAIC: &str = "mosaic:TILESET,grid=K, K a whole number";
 /// What the kinds of world are called before their colon.
 const KINDS: [&str; 4] = ["city", "terrain", "asteroids", "mosaic"];

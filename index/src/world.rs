@@ -242,26 +242,19 @@ fn open_tileset(file: &Path) -> Result<World, WorldError> {
     Err(WorldError::NotBuilt { file: file.to_owned(), kind: "3D Tiles" })
 }
 
-/// The kinds of generated worlds by what their documents say they are, with how they are opened.
-#[cfg(feature = "generated")]
-fn generated(format: &str) -> Option<fn(&Path) -> Result<World, crate::generate::document::GenerateError>> {
-    use crate::generate::document;
-    match format {
-        #[cfg(feature = "city")]
-        "foresight-city" => Some(document::open::<crate::generate::city::CityParams>),
-        #[cfg(feature = "terrain")]
-        "foresight-terrain" => Some(document::open::<crate::generate::terrain::TerrainParams>),
-        #[cfg(feature = "asteroids")]
-        "foresight-asteroids" => Some(document::open::<crate::generate::asteroids::AsteroidParams>),
-        _ => None,
-    }
-}
-
+/// Opens a generated world by what its document says it is.
 #[cfg(feature = "generated")]
 fn open_generated(file: &Path, format: &'static str) -> Result<World, WorldError> {
-    match generated(format) {
-        Some(open) => Ok(open(file)?),
-        None => Err(WorldError::NotBuilt { file: file.to_owned(), kind: format }),
+    match format {
+        #[cfg(feature = "city")]
+        "foresight-city" => Ok(crate::generate::document::open::<crate::generate::city::CityParams>(file)?),
+        #[cfg(feature = "terrain")]
+        "foresight-terrain" => Ok(crate::generate::document::open::<crate::generate::terrain::TerrainParams>(file)?),
+        #[cfg(feature = "asteroids")]
+        "foresight-asteroids" => {
+            Ok(crate::generate::document::open::<crate::generate::asteroids::AsteroidParams>(file)?)
+        }
+        _ => Err(WorldError::NotBuilt { file: file.to_owned(), kind: format }),
     }
 }
 

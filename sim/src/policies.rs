@@ -73,13 +73,18 @@ const OBJECTIVE_OPTIONS: &str = "alpha, predictor, discards, arrival, cover, hor
                                  samples, opening, falloff, tolerance, slack, turn-rate, speed or request-cost";
 
 impl PolicySpec {
-    /// Parses a list separated by commas, or `all`. `alpha` is the default of those that have one.
-    pub fn parse_list(list: &str, alpha: f64, error_target_px: f64) -> Result<Vec<PolicySpec>, PolicySpecError> {
+    /// Parses a list separated by commas, or `all`. `alpha` is the default of those that have one; `error_target_px`
+    /// that of the rivals that have one, instead of what each ships with.
+    pub fn parse_list(
+        list: &str,
+        alpha: f64,
+        error_target_px: Option<f64>,
+    ) -> Result<Vec<PolicySpec>, PolicySpecError> {
         let list = if list == "all" { names().collect::<Vec<_>>().join(",") } else { list.to_owned() };
         list.split(',').map(|spec| PolicySpec::parse(spec.trim(), alpha, error_target_px)).collect()
     }
 
-    fn parse(spec: &str, alpha: f64, error_target_px: f64) -> Result<PolicySpec, PolicySpecError> {
+    fn parse(spec: &str, alpha: f64, error_target_px: Option<f64>) -> Result<PolicySpec, PolicySpecError> {
         let mut parts = spec.split(':');
         let given = parts.next().unwrap_or_default();
         let name = names().find(|n| *n == given).ok_or_else(|| PolicySpecError::Name(given.to_owned()))?;
@@ -93,7 +98,7 @@ impl PolicySpec {
             label: spec.to_owned(),
             name,
             settings,
-            error_target_px,
+            error_target_px: error_target_px.or_else(|| rival(name)?.error_target_px).unwrap_or_default(),
             parallel: None,
             true_path: name == "clairvoyant",
         };

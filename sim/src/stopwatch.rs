@@ -1,4 +1,4 @@
-//! The only place that reads a clock: how long decisions take on this machine.
+//! The only place that reads a clock: how long decisions take on this machine, and when a run was made.
 
 use crate::outcome::DecisionNanos;
 
@@ -17,6 +17,13 @@ impl Stopwatch {
     pub fn nanos(self) -> u64 {
         u64::try_from(self.0.elapsed().as_nanos()).unwrap_or(u64::MAX)
     }
+}
+
+/// Milliseconds since 1970-01-01 UTC.
+#[expect(clippy::disallowed_methods, reason = "when a run was made; nothing of it reaches a decision")]
+pub fn unix_ms() -> i64 {
+    let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
+    since.ok().and_then(|since| i64::try_from(since.as_millis()).ok()).unwrap_or(0)
 }
 
 /// Median, 99th percentile and maximum, by nearest rank; zeros of nothing.

@@ -50,7 +50,7 @@ fn run<'a>(
 }
 
 fn named<'a>(name: &str, tree: &'a LodTree, flight: &Flight, link: &LinkTrace) -> Box<dyn Policy + 'a> {
-    PolicySpec::parse_list(name, 0.7, 16.0).unwrap()[0].build(tree, flight, link, Time::ZERO)
+    PolicySpec::parse_list(name, 0.7, None).unwrap()[0].build(tree, flight, link, Time::ZERO)
 }
 
 /// The first tick at or after a time.

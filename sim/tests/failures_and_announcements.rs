@@ -49,7 +49,7 @@ impl Scene {
             scheduler: SchedulerSettings::with_budget(BUDGET),
             preloaded: &[],
         };
-        let spec = PolicySpec::parse_list(policy, 0.7, 16.0).expect("the policy exists").remove(0);
+        let spec = PolicySpec::parse_list(policy, 0.7, None).expect("the policy exists").remove(0);
         let policy = spec.build(&self.tree, &self.flight, link, Time::ZERO);
         replay(stage, policy).unwrap_or_else(|error| panic!("{}: {error}", spec.label))
     }
@@ -88,7 +88,8 @@ fn a_path_announced_to_its_end_is_the_true_path() {
 #[test]
 fn who_does_not_listen_is_not_disturbed_by_announcements() {
     let scene = Scene::new(30.0, 6.0);
-    for name in names() {
+    // `two-phase` takes an announced path for its track.
+    for name in names().filter(|name| *name != "two-phase") {
         let (quiet, told) = (scene.replay(name, &link(0.0), 0.0), scene.replay(name, &link(0.0), 1.5));
         assert!(same(&quiet, &told), "{name}: {} and {}", mean(&quiet), mean(&told));
     }
@@ -102,10 +103,12 @@ fn every_policy_goes_on_when_requests_fail() {
         let lossy = scene.replay(name, &link(0.3), 0.0);
         println!("{name}: {} without, {} with {} failures", mean(&whole), mean(&lossy), lossy.failures);
         assert!(whole.failures == 0 && lossy.failures > 0 && lossy.bytes_failed > 0, "{name}");
-        // Foresight and its kin ask again: the end is what it is without failures.
+        // Foresight and its kin ask again: the end is what it is without failures. A rival may never ask again for what
+        // failed, as its file says, but it goes on with the rest.
         let last = |run: &Run| run.frames.last().and_then(|frame| frame.mean()).unwrap_or(0.0);
-        let expected = if ["foresight", "added-benefit", "clairvoyant"].contains(&name) { 0.99 } else { 0.3 };
-        assert!(last(&lossy) >= expected * last(&whole), "{name}: {} of {}", last(&lossy), last(&whole));
+        let asks_again = ["foresight", "added-benefit", "clairvoyant"].contains(&name);
+        assert!(!asks_again || last(&lossy) >= 0.99 * last(&whole), "{name}: {} of {}", last(&lossy), last(&whole));
+        assert!(!lossy.completions.is_empty(), "{name}");
         let nothing = scene.replay(name, &link(1.0), 0.0);
         assert!(nothing.completions.is_empty() && nothing.failures > 0, "{name}");
     }
@@ -124,7 +127,8 @@ fn failures_are_seeded_and_the_same_for_all() {
     assert!((1800..2200).contains(&breaks.len()), "{}", breaks.len());
     let mean = breaks.iter().sum::<u64>() as f64 / breaks.len() as f64;
     assert!((mean - 500.0).abs() < 30.0 && breaks.iter().all(|&b| b < 1000), "{mean}");
-    assert_ne!(link.breaks_after(4, 1, u64::MAX), link.breaks_after(4, 2, u64::MAX));
+    let always = link.with_loss(1.0, 7).expect("a probability");
+    assert_ne!(always.breaks_after(4, 1, u64::MAX), always.breaks_after(4, 2, u64::MAX));
 }
 
 #[test]

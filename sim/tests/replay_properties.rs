@@ -145,7 +145,7 @@ fn specification(tape: &mut Tape) -> PolicySpec {
     for choices in options {
         text += choices[tape.below(choices.len())];
     }
-    PolicySpec::parse_list(&text, 0.7, 16.0).expect("the options exist").remove(0)
+    PolicySpec::parse_list(&text, 0.7, None).expect("the options exist").remove(0)
 }
 
 /// Everything of a replay but the policy.
@@ -381,7 +381,7 @@ proptest! {
     fn threads_change_nothing(tape in tape()) {
         let mut tape = Tape::new(tape);
         let world = World::new(&mut tape);
-        let mut policies = PolicySpec::parse_list("all", 0.7, 16.0).expect("the policies exist");
+        let mut policies = PolicySpec::parse_list("all", 0.7, None).expect("the policies exist");
         policies.push(specification(&mut tape));
         let one = document(&world, &policies, 1);
         prop_assert!(all_finite(&one));

@@ -4,6 +4,7 @@
 pub mod fidelity;
 pub mod input;
 pub mod parser;
+pub mod postgres;
 pub mod program;
 
 use std::path::{Path, PathBuf};

@@ -6,9 +6,9 @@ use foresight_index::generate::asteroids::AsteroidParams;
 use foresight_index::generate::city::CityParams;
 use foresight_index::generate::document;
 use foresight_index::generate::terrain::TerrainParams;
-use foresight_index::import::elevation;
-use foresight_index::import::tiles3d;
+use foresight_index::import::{cityjson, elevation, tiles3d};
 use foresight_index::manifest;
+use foresight_sim::path::parse::{Format, Options};
 use foresight_sim::{link, path};
 
 /// A parser: accepted, or refused with its message.
@@ -16,12 +16,19 @@ pub type Parser = fn(&[u8]) -> Result<(), String>;
 
 /// Every parser by the name of its corpus and fuzz target.
 pub const TARGETS: &[(&str, Parser)] = &[
+    ("adsb", |bytes| path_as(Format::AdsB, bytes)),
     ("asteroids", |bytes| outcome(document::parse::<AsteroidParams>(bytes))),
     ("city", |bytes| outcome(document::parse::<CityParams>(bytes))),
+    ("cityjson", |bytes| outcome(cityjson::parse(bytes, "model"))),
+    ("comma2k19", comma2k19),
     ("content", |bytes| outcome(tiles3d::content_summary(bytes))),
     ("delay", |bytes| outcome(link::delay::parse("delay", bytes))),
     ("geotiff", |bytes| outcome(elevation::parse_geotiff(bytes))),
+    ("gpx", |bytes| path_as(Format::Gpx, bytes)),
+    ("igc", |bytes| path_as(Format::Igc, bytes)),
+    ("irish5g", |bytes| path_as(Format::Irish5g, bytes)),
     ("irish5g-link", irish5g_link),
+    ("kml", |bytes| path_as(Format::Kml, bytes)),
     ("link", |bytes| outcome(link::parse::from_bytes("link", bytes))),
     ("manifest", |bytes| outcome(manifest::parse(bytes))),
     ("npz", |bytes| outcome(elevation::parse_npz(bytes))),
@@ -59,7 +66,24 @@ fn irish5g_link(bytes: &[u8]) -> Result<(), String> {
 /// As it was recorded, and as a path.
 fn recording(bytes: &[u8]) -> Result<(), String> {
     drop(path::recording::from_bytes("recording", bytes));
-    outcome(path::recording::path_from_bytes("recording", bytes, &path::parse::Options::default()))
+    outcome(path::recording::path_from_bytes("recording", bytes, &Options::default()))
+}
+
+/// A path in a format of its own.
+fn path_as(format: Format, bytes: &[u8]) -> Result<(), String> {
+    outcome(path::parse::from_bytes_as(format, "path", bytes, &Options::default()))
+}
+
+/// Three arrays one after the other, each behind its length in 4 bytes.
+fn comma2k19(bytes: &[u8]) -> Result<(), String> {
+    let mut rest = bytes;
+    let arrays = [(); 3].map(|()| {
+        let (length, after) = rest.split_first_chunk::<4>().unwrap_or((&[0; 4], &[]));
+        let (array, after) = after.split_at((u32::from_le_bytes(*length) as usize).min(after.len()));
+        rest = after;
+        array
+    });
+    outcome(path::parse::from_arrays("path", arrays, &Options::default()))
 }
 
 fn outcome<T, E: Display>(result: Result<T, E>) -> Result<(), String> {

@@ -20,6 +20,7 @@ pub struct Ended {
 }
 
 /// Path of a program of this workspace, built before the tests: it lies beside the folder of this test's executable.
+/// `foresight-sim` has the store of runs; `foresight-sim-default`, a copy of the default build, has not.
 ///
 /// # Panics
 /// If it is not there.
@@ -27,7 +28,7 @@ pub fn built(name: &str) -> PathBuf {
     let test = std::env::current_exe().expect("this test knows its own path");
     let folder = test.parent().and_then(Path::parent).expect("tests lie in <profile>/deps");
     let program = folder.join(format!("{name}{}", std::env::consts::EXE_SUFFIX));
-    assert!(program.is_file(), "{} is missing; `cargo build --workspace --bins` builds it", program.display());
+    assert!(program.is_file(), "{} is missing; `tests/run` builds it", program.display());
     program
 }
 
@@ -36,8 +37,17 @@ pub fn built(name: &str) -> PathBuf {
 /// # Panics
 /// If it has not ended after `limit`; it is killed first.
 pub fn sim(folder: &Path, arguments: &[&str], limit: Duration) -> Ended {
-    let mut child = Command::new(built("foresight-sim"))
+    run("foresight-sim", folder, arguments, &[], limit)
+}
+
+/// Runs a program of this workspace as [`sim`] does, with these variables in its environment.
+///
+/// # Panics
+/// As [`sim`].
+pub fn run(program: &str, folder: &Path, arguments: &[&str], environment: &[(&str, &Path)], limit: Duration) -> Ended {
+    let mut child = Command::new(built(program))
         .args(arguments)
+        .envs(environment.iter().copied())
         .current_dir(folder)
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
@@ -50,7 +60,7 @@ pub fn sim(folder: &Path, arguments: &[&str], limit: Duration) -> Ended {
     let (stdout, stderr) = (text(stdout), text(stderr));
     match code {
         Some(code) => Ended { code, stdout, stderr },
-        None => panic!("foresight-sim {arguments:?} still ran after {limit:?}\n{stdout}\n{stderr}"),
+        None => panic!("{program} {arguments:?} still ran after {limit:?}\n{stdout}\n{stderr}"),
     }
 }
 

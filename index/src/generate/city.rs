@@ -8,7 +8,7 @@ use foresight_scheduler::lod_tree::{Aabb, LodTreeBuilder, LodTreeError, RepId, R
 use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
-use super::document::{GenerateError, Key, ParamError, Params, length, range};
+use super::document::{GenerateError, Key, ParamError, Params, length, put, range};
 use super::random::Random;
 use crate::ground::Ground;
 use crate::uris::UriTableBuilder;
@@ -66,26 +66,26 @@ impl Params for CityParams {
                 Some(())
             },
         },
-        Key { name: "seed", expected: "a whole number", set: |params, text| Some(params.seed = text.parse().ok()?) },
+        Key { name: "seed", expected: "a whole number", set: |params, text| put(&mut params.seed, text.parse().ok()) },
         Key {
             name: "pitch",
             expected: "a length such as 100m",
-            set: |params, text| Some(params.pitch = length(text)?),
+            set: |params, text| put(&mut params.pitch, length(text)),
         },
         Key {
             name: "street",
             expected: "a length such as 14m",
-            set: |params, text| Some(params.street = length(text)?),
+            set: |params, text| put(&mut params.street, length(text)),
         },
         Key {
             name: "tower-height",
             expected: "a length such as 160m",
-            set: |params, text| Some(params.tower_height = length(text)?),
+            set: |params, text| put(&mut params.tower_height, length(text)),
         },
         Key {
             name: "park-share",
             expected: "a number from 0 to 1",
-            set: |params, text| Some(params.park_share = text.parse().ok()?),
+            set: |params, text| put(&mut params.park_share, text.parse().ok()),
         },
     ];
 

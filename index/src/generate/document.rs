@@ -123,6 +123,12 @@ pub(super) fn range(name: &'static str, value: f64, from: f64, to: f64) -> Resul
     if inside { Ok(()) } else { Err(ParamError { name, value, expected: format!("{from} to {to}") }) }
 }
 
+/// Sets a parameter to what was read, if it could be.
+pub(super) fn put<T>(param: &mut T, read: Option<T>) -> Option<()> {
+    *param = read?;
+    Some(())
+}
+
 /// Reads the parameters in a document.
 pub fn parse<P: Params>(bytes: &[u8]) -> Result<P, DocumentError> {
     let file: Document<P> = serde_json::from_slice(bytes).map_err(|error| DocumentError {

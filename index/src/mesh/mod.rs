@@ -12,6 +12,14 @@ use crate::format::glb;
 /// The corners of a triangle, metres.
 pub(crate) type Triangle = [DVec3; 3];
 
+/// A triangle of what a mesh stands for.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Original {
+    pub(crate) corners: Triangle,
+    /// Diameter of the whole that it is a part of, metres: the error of leaving that out.
+    pub(crate) whole: f64,
+}
+
 /// A mesh as it is uploaded: positions narrowed to f32 about an origin, each once.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Mesh {

@@ -223,7 +223,7 @@ impl Surface for HeightField {
 
 /// Gives every sample without a height that of the nearest one; returns which they were, or nothing if there are none.
 fn fill(columns: usize, heights: &mut [f32]) -> Result<Vec<bool>, HeightFieldError> {
-    let is_missing = |height: &f32| !(height.abs() <= HIGHEST);
+    let is_missing = |height: &f32| height.is_nan() || height.abs() > HIGHEST;
     let absent = heights.iter().filter(|height| is_missing(height)).count();
     if absent == 0 {
         return Ok(Vec::new());

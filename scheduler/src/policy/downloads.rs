@@ -6,14 +6,12 @@
 //! goes.
 
 use crate::lod_tree::{LodTree, RepId};
+use crate::policy::tileset::FRAME;
 use crate::scheduler::Action;
 use crate::state::{ClientState, Status};
 use crate::units::Time;
 use core::cmp::Reverse;
 use std::collections::VecDeque;
-
-/// One frame at 60 Hz.
-const FRAME: Time = Time(16_666_667);
 
 /// What became of a wish.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

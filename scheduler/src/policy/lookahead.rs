@@ -26,6 +26,7 @@
 
 use crate::benefit::frustum::{Frustum, Side};
 use crate::lod_tree::{LodTree, NodeId, RepId};
+use crate::policy::tileset::{FRAME, first_missing};
 use crate::policy::{Policy, Rival};
 use crate::scheduler::Action;
 use crate::state::{ClientState, Status};
@@ -34,9 +35,6 @@ use crate::view::View;
 use core::cmp::Ordering;
 use glam::DVec3;
 use std::collections::VecDeque;
-
-/// One frame at 60 Hz.
-const FRAME: Time = Time(16_666_667);
 
 /// How a comparison offers it.
 pub const RIVAL: Rival = Rival {
@@ -454,15 +452,6 @@ impl Lookahead {
             queue.keep(|e| state.request_bytes(first_missing(state, e.rep)) <= limit);
         }
     }
-}
-
-/// The prerequisite of `rep` that has to be requested first, or `rep` itself.
-fn first_missing(state: &ClientState, rep: RepId) -> RepId {
-    let mut first = rep;
-    while let Some(missing) = state.tree.prerequisite(first).filter(|&p| state.status(p) == Status::Absent) {
-        first = missing;
-    }
-    first
 }
 
 fn distance_to(tree: &LodTree, node: NodeId, eye: DVec3) -> f64 {

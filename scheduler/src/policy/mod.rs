@@ -90,6 +90,7 @@
 pub mod added_benefit;
 mod downloads;
 pub mod foresight;
+mod tileset;
 
 /// Declares the module of each rival and lists its [`Rival`].
 macro_rules! rivals {
@@ -103,6 +104,9 @@ macro_rules! rivals {
 rivals! {
     lookahead
     tiles_renderer
+    cesium
+    cesium_native
+    loaders_gl
     potree
     playcanvas
     two_phase

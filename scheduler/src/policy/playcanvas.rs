@@ -40,7 +40,7 @@
 //! - `lodFalloff` is not followed. From 2.23 on the default is another mode, `distance`, which ignores the errors.
 
 use super::downloads::{Asked, Downloads};
-use super::tiles_renderer::tile::{Tile, shown_beneath, tiles_of};
+use super::tileset::tile::{Tile, shown_beneath, tiles_of};
 use super::{Policy, Rival};
 use crate::lod_tree::{LodTree, RepId};
 use crate::scheduler::Action;

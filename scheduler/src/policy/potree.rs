@@ -32,7 +32,7 @@
 //!   known from the start. The frustum has no near or far plane.
 
 use super::downloads::{Asked, Downloads};
-use super::tiles_renderer::tile::{Tile, tiles_of};
+use super::tileset::tile::{Tile, tiles_of};
 use super::{Policy, Rival};
 use crate::benefit::frustum::{Frustum, Side};
 use crate::lod_tree::{LodTree, RepId};

@@ -38,13 +38,14 @@
 //! - Of what is drawn, only that is followed which decides on loading; "kicked" tiles are not.
 //! - 5 parses at a time are the decoder's limit, not the policy's.
 
-pub(crate) mod tile;
 mod traversal;
 mod unload;
 
 use crate::benefit::coverage::Refinement;
 use crate::benefit::frustum::Frustum;
 use crate::lod_tree::{LodTree, RepId};
+use crate::policy::tileset::FRAME;
+use crate::policy::tileset::tile::{Tile, tiles_of};
 use crate::policy::{Policy, Rival};
 use crate::scheduler::Action;
 use crate::state::{ClientState, Status};
@@ -52,11 +53,7 @@ use crate::units::Time;
 use crate::view::View;
 use core::cmp::Ordering;
 use std::collections::VecDeque;
-use tile::{Tile, tiles_of};
 use traversal::{Descent, Traversal};
-
-/// One frame at 60 Hz.
-const FRAME: Time = Time(16_666_667);
 
 /// How a comparison offers it.
 pub const RIVAL: Rival = Rival {
@@ -344,15 +341,6 @@ impl TilesRenderer {
             self.actions.push_back(Action::Fetch { rep, discard_on_arrival: Vec::new() });
         }
     }
-}
-
-/// The prerequisite of `rep` that has to be requested first, or `rep` itself.
-fn first_missing(state: &ClientState, rep: RepId) -> RepId {
-    let mut first = rep;
-    while let Some(missing) = state.tree.prerequisite(first).filter(|&p| state.status(p) == Status::Absent) {
-        first = missing;
-    }
-    first
 }
 
 impl Policy for TilesRenderer {

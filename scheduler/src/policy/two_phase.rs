@@ -31,7 +31,7 @@
 //! - A failed request is made again when the queue is made anew. Nothing on its way is aborted.
 
 use super::downloads::{Asked, Downloads};
-use super::tiles_renderer::tile::{Tile, shown_beneath, tiles_of};
+use super::tileset::tile::{Tile, shown_beneath, tiles_of};
 use super::{Policy, Rival};
 use crate::benefit::frustum::{Frustum, Side};
 use crate::lod_tree::{LodTree, RepId};

@@ -34,7 +34,7 @@
 //! - A failed request is made again.
 
 use super::downloads::{Asked, Downloads};
-use super::tiles_renderer::tile::{Tile, tiles_of};
+use super::tileset::tile::{Tile, tiles_of};
 use super::{Policy, Rival};
 use crate::benefit::coverage::Refinement;
 use crate::benefit::frustum::{Frustum, Side};

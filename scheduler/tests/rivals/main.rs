@@ -1,5 +1,8 @@
 //! The rival policies, driven through the scheduler.
 
+mod cesium;
+mod cesium_native;
+mod loaders_gl;
 mod lookahead;
 mod playcanvas;
 mod potree;

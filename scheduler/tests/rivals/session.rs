@@ -53,6 +53,38 @@ pub(crate) fn two_levels(coarse: Option<Representation>, leaves: &[([f64; 3], u3
     builder.finish().unwrap()
 }
 
+/// An empty root, and beneath it a leaf for each entry (middle of a 2 m cube, errors of its levels of detail), 1 kB each.
+pub(crate) fn chains(leaves: &[([f64; 3], &[f32])]) -> LodTree {
+    let mut builder = LodTreeBuilder::default();
+    builder.open().unwrap();
+    for &(centre, errors) in leaves {
+        builder.open().unwrap();
+        for &error in errors {
+            builder.add(rep(1, error)).unwrap();
+        }
+        builder.close(Some(cube(centre, 1.0)), 1.0).unwrap();
+    }
+    builder.close(None, 1.0).unwrap();
+    builder.finish().unwrap()
+}
+
+/// An empty root, and beneath it an empty node for each group of leaves (middle of a 2 m cube, kB) without error.
+pub(crate) fn groups(groups: &[&[([f64; 3], u32)]]) -> LodTree {
+    let mut builder = LodTreeBuilder::default();
+    builder.open().unwrap();
+    for group in groups {
+        builder.open().unwrap();
+        for &(centre, kilobytes) in *group {
+            builder.open().unwrap();
+            builder.add(rep(kilobytes, 0.0)).unwrap();
+            builder.close(Some(cube(centre, 1.0)), 1.0).unwrap();
+        }
+        builder.close(None, 1.0).unwrap();
+    }
+    builder.close(None, 1.0).unwrap();
+    builder.finish().unwrap()
+}
+
 /// xorshift64*.
 pub(crate) struct Dice(pub(crate) u64);
 
@@ -194,6 +226,12 @@ impl<'a> Session<'a> {
         self.decoding.retain(|r| !failing.contains(r));
     }
 
+    /// A request on its way fails.
+    pub(crate) fn fail_request(&mut self, rep: u32) {
+        self.in_flight.retain(|t| t.0 != RepId(rep));
+        self.fail(RepId(rep));
+    }
+
     /// One tick: the link moves on, decoders finish, the camera is seen, and the scheduler obeyed.
     pub(crate) fn tick(&mut self, view: &View) {
         self.actions.clear();
@@ -240,6 +278,12 @@ impl<'a> Session<'a> {
     pub(crate) fn discarded(&self) -> Vec<u32> {
         let discard = |a: &Action| if let Action::Discard(rep) = a { Some(rep.0) } else { None };
         self.actions.iter().filter_map(discard).collect()
+    }
+
+    /// What the latest tick aborted, in order.
+    pub(crate) fn cancelled(&self) -> Vec<u32> {
+        let cancel = |a: &Action| if let Action::Cancel(rep) = a { Some(rep.0) } else { None };
+        self.actions.iter().filter_map(cancel).collect()
     }
 
     pub(crate) fn resident(&self, rep: u32) -> bool {

@@ -7,8 +7,8 @@ use foresight_index::world::{self, World};
 use foresight_scheduler::view::View;
 use foresight_sim::flight::Flight;
 use foresight_sim::link::{self, LinkTrace};
-use foresight_sim::path::{self, Axis, CameraAxes, CameraPath, Look, Placement, QuatOrder, look, parse::Options};
-use foresight_sim::path::{head::Head, recording::Sample};
+use foresight_sim::path::{self, Axis, CameraAxes, CameraPath, Look, Placement, QuatOrder};
+use foresight_sim::path::{head::Head, look, parse::Options, recording::Sample};
 use std::io::IsTerminal;
 use std::path::Path;
 use std::sync::Arc;
@@ -182,9 +182,12 @@ fn is_made(name: &str) -> bool {
 
 /// The path with the head that rides on it, if there is one.
 pub(crate) fn carry_head(path: CameraPath, args: &PathArgs) -> anyhow::Result<CameraPath> {
-    Ok(match args.head() {
-        None => path,
-        Some(spec) => Head::from_specification(spec)?.ride(&path)?,
+    Ok(match (args.head(), &args.look) {
+        (None, _) => path,
+        (Some(_), Some(Look::Target(_))) => {
+            bail!("--head and --look target: a camera that is aimed at a point of the world carries no head")
+        }
+        (Some(spec), _) => Head::from_specification(spec)?.ride(&path)?,
     })
 }
 

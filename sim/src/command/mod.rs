@@ -4,6 +4,11 @@ mod generate;
 mod inputs;
 mod inspect;
 mod replay;
+#[cfg(feature = "runs")]
+mod runs;
+#[cfg(not(feature = "runs"))]
+#[path = "runs_absent.rs"]
+mod runs;
 mod suite;
 
 use clap::{Parser, Subcommand};
@@ -30,6 +35,8 @@ enum Command {
     Inspect(inspect::InspectArgs),
     /// Runs the named benchmark cases, and sets foresight against each rival.
     Suite(suite::SuiteArgs),
+    /// The store of past runs: lists, shows, compares, exports and repeats them.
+    Runs(runs::RunsArgs),
     /// Makes worlds of any size, and recordings of paths.
     Generate(generate::GenerateArgs),
 }
@@ -41,6 +48,17 @@ pub(crate) fn run(cli: Cli) -> anyhow::Result<()> {
         Some(Command::Replay(args)) => replay::run(*args),
         Some(Command::Inspect(args)) => inspect::run(&args),
         Some(Command::Suite(args)) => suite::run(&args),
+        Some(Command::Runs(args)) => runs::run(&args),
         Some(Command::Generate(args)) => generate::run(args),
+    }
+}
+
+/// The options of a stored command line, which is one of `replay`.
+#[cfg(feature = "runs")]
+fn replay_args(words: &[String]) -> anyhow::Result<replay::ReplayArgs> {
+    let cli = Cli::try_parse_from(std::iter::once("foresight-sim").chain(words.iter().map(String::as_str)))?;
+    match cli.command {
+        Some(Command::Replay(args)) => Ok(*args),
+        _ => anyhow::bail!("`{}`; expected a command line of replay", words.join(" ")),
     }
 }

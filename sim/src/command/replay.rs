@@ -1,6 +1,7 @@
 //! `replay`: compares policies.
 
 use super::inputs::{self, PathArgs};
+use super::runs::Recorder;
 use anyhow::{Context, bail};
 use clap::Args;
 use foresight_scheduler::benefit::coverage::Refinement;
@@ -11,6 +12,7 @@ use foresight_sim::compare::{Memory, Plan, compare, starts};
 use foresight_sim::outcome::{Comparison, Inputs};
 use foresight_sim::policies::PolicySpec;
 use foresight_sim::report;
+use foresight_sim::stopwatch::Stopwatch;
 use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
 
@@ -28,7 +30,7 @@ const BUILT_IN_STARTS: u32 = 4;
     foresight-sim replay --policy foresight,foresight:alpha=1:predictor=true-path,clairvoyant\n  foresight-sim replay --error-target best --link constant:5Mbit,40ms\n\n\
     A policy takes options after colons:\n  foresight, added-benefit, clairvoyant: alpha, predictor (constant-velocity, constant-turn, kalman, mixture, known-path,\n    \
     true-path), discards (planned, lru), arrival (on, off), cover (on, off), horizon, reuse, hysteresis, attenuation, samples,\n    \
-    opening, falloff, tolerance, slack, turn-rate and speed (declared, rad/s and m/s), request-cost\n  lookahead, 3d-tiles-renderer: target (pixels), parallel"
+    opening, falloff, tolerance, slack, turn-rate and speed (declared, rad/s and m/s), request-cost\n  the rivals: target (pixels, where it has one), parallel"
 )]
 pub(crate) struct ReplayArgs {
     /// A world directory, tileset.json, elevation grid (.npz, GeoTIFF), or a generated world by its parameters:
@@ -54,8 +56,8 @@ pub(crate) struct ReplayArgs {
     /// Trust in the prediction, 0 to 1
     #[arg(long, default_value_t = 0.7, value_parser = trust, allow_hyphen_values = true)]
     alpha: f64,
-    /// Pixels of error that lookahead and 3d-tiles-renderer aim at (they ship with 16); best adds each at its best of
-    /// 1, 2, 4, 8 and 16 px in hindsight
+    /// Pixels of error that the rivals aim at, instead of what each ships with; best adds each at its best of 1, 2, 4, 8
+    /// and 16 px in hindsight
     #[arg(long, value_name = "PX|best")]
     error_target: Option<String>,
     /// When children count: partial (drawn beside their parent) or atomic (all or none)
@@ -91,6 +93,10 @@ pub(crate) struct ReplayArgs {
     /// Write report.html and comparison.json into this directory
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
+    /// Record the run in this store, a SQLite file or a postgres:// URL; without a value in the user's own, which `runs`
+    /// reads
+    #[arg(long, value_name = "FILE|URL", num_args = 0..=1, default_missing_value = "")]
+    store: Option<String>,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
@@ -121,9 +127,21 @@ impl ReplayArgs {
             announce: None,
             no_bound: false,
             report: Some(PathBuf::from("report")),
+            store: None,
             json: false,
             threads: None,
         }
+    }
+
+    /// What the results depend on beside the inputs that the comparison names.
+    #[cfg(feature = "runs")]
+    pub(crate) fn other_settings(&self) -> serde_json::Value {
+        serde_json::json!({
+            "error_target": self.error_target,
+            "decode_rate": self.decode_rate,
+            "upload_budget": self.upload_budget,
+            "opening": self.opening,
+        })
     }
 }
 
@@ -177,6 +195,8 @@ pub(crate) fn use_threads(threads: Option<u32>) -> anyhow::Result<()> {
 
 pub(crate) fn run(args: ReplayArgs) -> anyhow::Result<()> {
     use_threads(args.threads)?;
+    let watch = Stopwatch::start();
+    let recorder = args.store.as_deref().map(Recorder::open).transpose()?;
     let shows_progress = std::io::stderr().is_terminal() && !args.json;
     let comparison = execute(&args, &|done, all| {
         if shows_progress {
@@ -201,6 +221,12 @@ pub(crate) fn run(args: ReplayArgs) -> anyhow::Result<()> {
             writeln!(out, "report: {}", file.display())?;
         }
     }
+    if let Some(mut recorder) = recorder {
+        let place = recorder.record(&comparison, &args, watch, None)?;
+        if !args.json {
+            writeln!(out, "{place}")?;
+        }
+    }
     Ok(())
 }
 
@@ -217,14 +243,13 @@ pub(crate) fn execute(args: &ReplayArgs, progress: &(dyn Fn(usize, usize) + Sync
         );
     }
     let (target, hindsight) = match args.error_target.as_deref() {
-        None => (16.0, Vec::new()),
-        Some("best") => (16.0, HINDSIGHT_TARGETS_PX.to_vec()),
+        None => (None, Vec::new()),
+        Some("best") => (None, HINDSIGHT_TARGETS_PX.to_vec()),
         Some(px) => {
             let target = px.parse::<f64>().ok().filter(|t| *t >= 0.01 && *t <= 1e4);
-            (
-                target.with_context(|| format!("--error-target {px}; expected pixels from 0.01 to 10000, or best"))?,
-                Vec::new(),
-            )
+            let target =
+                target.with_context(|| format!("--error-target {px}; expected pixels from 0.01 to 10000, or best"))?;
+            (Some(target), Vec::new())
         }
     };
     let policies = PolicySpec::parse_list(&args.policy, args.alpha, target)?;
@@ -275,6 +300,11 @@ pub(crate) fn execute(args: &ReplayArgs, progress: &(dyn Fn(usize, usize) + Sync
         ..Inputs::default()
     };
     let mut comparison = compare(&plan, inputs, progress)?;
+    if link.loss() > 0.0 {
+        let failures = comparison.policies.iter().map(|p| format!("{} {:.1}", p.name, p.failures));
+        let failures = failures.collect::<Vec<_>>().join(", ");
+        comparison.warnings.push(format!("{} % of the requests fail; failures: {failures}", link.loss() * 100.0));
+    }
     comparison.warnings.extend(inputs::world_notes(&world, 5));
     comparison.warnings.extend(placed.notes.iter().map(|n| format!("path: {n}")));
     comparison.warnings.extend(link.notes().iter().map(|n| format!("link: {n}")));

@@ -1,6 +1,7 @@
 //! `suite`: the named benchmark cases.
 
 use super::replay::{self, ReplayArgs};
+use super::runs::Recorder;
 use anyhow::{Context, bail};
 use clap::{Args, Parser};
 use foresight_sim::outcome::regime;
@@ -45,6 +46,10 @@ pub(crate) struct SuiteArgs {
     /// Write suite.html and suite.json into this directory
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
+    /// Record every replay in this store, a SQLite file or a postgres:// URL; without a value in the user's own, which
+    /// `runs` reads
+    #[arg(long, value_name = "FILE|URL", num_args = 0..=1, default_missing_value = "")]
+    store: Option<String>,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
@@ -79,6 +84,7 @@ pub(crate) fn run(args: &SuiteArgs) -> anyhow::Result<()> {
     }
     replay::use_threads(args.threads)?;
     let watch = Stopwatch::start();
+    let mut recorder = args.store.as_deref().map(Recorder::open).transpose()?;
     let shows_progress = std::io::stderr().is_terminal();
     let (mut outcomes, mut skipped) = (Vec::new(), Vec::new());
     for case in cases {
@@ -92,12 +98,16 @@ pub(crate) fn run(args: &SuiteArgs) -> anyhow::Result<()> {
         for command in case.commands(&data) {
             let command = completed(command, args);
             let line = Line::try_parse_from(&command).with_context(|| format!("case {}", case.name))?;
+            let replay_watch = Stopwatch::start();
             let comparison = replay::execute(&line.replay, &|done, all| {
                 if shows_progress {
                     eprint!("\r\x1b[K{}: {done} of {all} replays", case.name);
                 }
             });
             let comparison = comparison.with_context(|| format!("case {}: {}", case.name, command.join(" ")))?;
+            if let Some(recorder) = &mut recorder {
+                recorder.record(&comparison, &line.replay, replay_watch, Some((case.name, &command)))?;
+            }
             replays.push(ReplayOutcome { command, regime: regime(comparison.pressure.rho), comparison });
         }
         if shows_progress {
@@ -169,7 +179,7 @@ fn completed(mut command: Vec<String>, args: &SuiteArgs) -> Vec<String> {
 }
 
 /// Most memory that this process has held, bytes, as Linux tells it.
-fn peak_memory_bytes() -> Option<u64> {
+pub(crate) fn peak_memory_bytes() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"))?;
     line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok().map(|kib| kib * 1024)

@@ -187,7 +187,8 @@ fn statistics_of_a_link() {
     let statistics = LinkStatistics::new(&link);
     // By the second, bytes/s: 0, 0, 10, 1000 × 4, 2000 × 3.
     assert_eq!(statistics.percentiles, [0.0, 10.0, 1000.0, 2000.0, 2000.0]);
-    assert_eq!((statistics.near_zero_share, statistics.longest_outage), (0.3, Time(2 * S)));
+    assert_eq!((statistics.near_zero_share, statistics.longest_near_zero), (0.3, Time(2 * S)));
+    assert_eq!(statistics.longest_outage, Time(2 * S));
     let link = LinkTrace::from_opportunities("t", &[0, 100, 700, 2500], Time::ZERO).unwrap();
     let statistics = LinkStatistics::new(&link);
     assert_eq!(statistics.longest_outage, Time(1800 * MS));

@@ -11,6 +11,7 @@ use std::iter::Peekable;
 
 use foresight_scheduler::units::Time;
 
+use crate::path::g_nettrack_time;
 use crate::text_lines::TextLines;
 
 use super::parse::{ASSUMED_RTT, Read};
@@ -59,7 +60,7 @@ pub(super) fn parse(name: &str, columns: Columns, lines: Peekable<TextLines<'_>>
         let wrong = |message: String| LinkError::Line { name: name.to_owned(), line: number, message };
         let field = |column: usize| line.split(',').nth(column).map(str::trim);
         let stamp = field(columns.timestamp).unwrap_or_default();
-        let at = unix_seconds(stamp).ok_or_else(|| {
+        let at = g_nettrack_time(stamp).ok_or_else(|| {
             let stamp: String = stamp.chars().take(40).collect();
             wrong(format!("a time of `{stamp}`; expected one such as 2019.12.16_07.22.43"))
         })?;
@@ -74,10 +75,10 @@ pub(super) fn parse(name: &str, columns: Columns, lines: Peekable<TextLines<'_>>
             )?),
         };
         let since = at - *first.get_or_insert(at);
-        if since > SECONDS_MAX as i64 {
+        if since > SECONDS_MAX {
             return Err(wrong(format!("{since} s after the first row; expected at most {SECONDS_MAX:e}")));
         }
-        let latest = seconds.last().map_or(0, |s| s.number as i64);
+        let latest = seconds.last().map_or(0.0, |s| s.number as f64);
         if since < latest {
             regressed += 1;
             continue;
@@ -157,42 +158,4 @@ fn held(pings: Vec<RttPiece>, begins: u64, period: Time) -> Vec<RttPiece> {
         }
     }
     pieces
-}
-
-/// Seconds since 1970 of `YYYY.MM.DD_hh.mm.ss`.
-fn unix_seconds(stamp: &str) -> Option<i64> {
-    let (date, clock) = stamp.split_once('_')?;
-    let three = |text: &str| {
-        let mut numbers = text.split('.').map(|n| n.parse::<u32>().ok().map(i64::from));
-        match (numbers.next()?, numbers.next()?, numbers.next()?, numbers.next()) {
-            (Some(a), Some(b), Some(c), None) => Some([a, b, c]),
-            _ => None,
-        }
-    };
-    let ([year, month, day], [hour, minute, second]) = (three(date)?, three(clock)?);
-    let valid = (1970..=9999).contains(&year)
-        && (1..=12).contains(&month)
-        && (1..=31).contains(&day)
-        && hour < 24
-        && minute < 60
-        && second <= 60;
-    // Days of the proleptic Gregorian calendar, its years beginning in March.
-    let (y, m) = if month > 2 { (year, month - 3) } else { (year - 1, month + 9) };
-    let days = 365 * y + y / 4 - y / 100 + y / 400 + (153 * m + 2) / 5 + day - 1 - 719_468;
-    valid.then_some(((days * 24 + hour) * 60 + minute) * 60 + second)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::unix_seconds;
-
-    #[test]
-    fn stamps() {
-        assert_eq!(unix_seconds("1970.01.01_00.00.00"), Some(0));
-        assert_eq!(unix_seconds("2000.02.29_00.00.00"), Some(951_782_400));
-        assert_eq!(unix_seconds("2019.12.16_07.22.43"), Some(1_576_480_963));
-        for bad in ["", "2019.12.16", "2019.13.16_07.22.43", "2019.12.16_24.00.00", "2019.12_07.22.43", "a.b.c_d.e.f"] {
-            assert_eq!(unix_seconds(bad), None, "{bad}");
-        }
-    }
 }

@@ -18,7 +18,7 @@ pub(super) fn parse(name: &str, lines: Peekable<TextLines<'_>>) -> Result<LinkTr
         {
             return Err(wrong(format!(
                 "{ms} after {previous}: not a supported link format; expected the non-decreasing milliseconds of a \
-                 Mahimahi trace (a list of delays is not a link)"
+                 Mahimahi trace (delays are no link: give them with ,delay=FILE)"
             )));
         }
         if ms as f64 > SECONDS_MAX * 1e3 {

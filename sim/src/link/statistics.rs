@@ -18,6 +18,8 @@ pub struct LinkStatistics {
     pub percentiles: [f64; 5],
     /// Share of the seconds that deliver less than 5 % of the mean rate.
     pub near_zero_share: f64,
+    /// Longest stretch of such seconds, the repetition included.
+    pub longest_near_zero: Time,
     /// Longest time in which no byte comes, the repetition included.
     pub longest_outage: Time,
 }
@@ -27,18 +29,25 @@ impl LinkStatistics {
     pub fn new(link: &LinkTrace) -> LinkStatistics {
         let period = link.period().0;
         let window = 1_000_000_000.max(period.div_ceil(WINDOWS_MAX));
-        let mut rates: Vec<f64> = (0..period.div_ceil(window))
-            .map(|i| {
-                let (from, to) = (Time(i * window), Time(((i + 1) * window).min(period)));
-                link.bytes_deliverable(from, to) as f64 / to.since(from).secs()
-            })
+        let windows = (0..period.div_ceil(window)).map(|i| (Time(i * window), Time(((i + 1) * window).min(period))));
+        let by_time: Vec<(Time, f64)> = windows
+            .map(|(from, to)| (to.since(from), link.bytes_deliverable(from, to) as f64 / to.since(from).secs()))
             .collect();
+        let limit = NEAR_ZERO * link.mean_rate();
+        let (mut longest, mut current) = (Time::ZERO, Time::ZERO);
+        // Twice around, so that what ends the period goes on at its start.
+        for &(lasts, rate) in by_time.iter().chain(&by_time) {
+            current = if rate < limit { current + lasts } else { Time::ZERO };
+            longest = longest.max(current);
+        }
+        let mut rates: Vec<f64> = by_time.iter().map(|&(_, rate)| rate).collect();
         rates.sort_by(f64::total_cmp);
-        let near_zero = rates.partition_point(|&rate| rate < NEAR_ZERO * link.mean_rate());
+        let near_zero = rates.partition_point(|&rate| rate < limit);
         let percentile = |percent: usize| rates[(rates.len() * percent).div_ceil(100).max(1) - 1];
         LinkStatistics {
             percentiles: [5, 25, 50, 75, 95].map(percentile),
             near_zero_share: near_zero as f64 / rates.len() as f64,
+            longest_near_zero: longest.min(link.period()),
             longest_outage: link.longest_outage(),
         }
     }

@@ -9,7 +9,7 @@ use super::{CameraPath, Frame, Heights};
 const IRREGULAR: f64 = 4.0;
 
 /// A path that stays within this is the motion of a head or a hand, metres.
-const ROOM: f64 = 5.0;
+const ROOM: f64 = 6.0;
 
 /// Coordinates farther out than this, and farther than several times the path's extent, are a map's, metres.
 const MAP: f64 = 1e5;
@@ -130,17 +130,20 @@ impl PathFacts {
     /// The figures and traps for the reader, a line each.
     pub fn lines(&self) -> Vec<String> {
         let (duration, length) = (self.duration, self.length);
+        let rate = (self.poses - 1) as f64 / duration;
+        let prec = if rate < 1.0 { 3 } else { 1 };
         let mut lines = vec![format!(
-            "{} poses over {duration:.2} s ({:.1} Hz); {length:.1} m long, {:.2} m/s on average",
+            "{} poses over {duration:.2} s ({:.prec$} Hz); {length:.1} m long, {:.2} m/s on average",
             self.poses,
-            (self.poses - 1) as f64 / duration,
+            rate,
             length / duration
         )];
         let [shortest, step, longest] = self.steps;
         lines.push(format!("steps of {shortest:.3} s to {longest:.3} s, median {step:.3} s; {} gaps", self.gaps));
         let [median, p95, fastest] = self.speeds;
         lines.push(format!("speeds: median {median:.2} m/s, 95th percentile {p95:.2} m/s, at most {fastest:.2} m/s"));
-        let [low, high] = self.height;
+        // No −0.0.
+        let [low, high] = self.height.map(|height| if height.abs() < 5e-3 { 0.0 } else { height });
         if let Some(place) = self.place {
             let ([south, north], [west, east]) = (place.latitude, place.longitude);
             lines.push(format!(

@@ -4,7 +4,6 @@ use std::fmt;
 
 use foresight_index::geodesy::Geodetic;
 use glam::{DMat3, DVec3};
-use serde::{Deserialize, Serialize};
 
 /// The frame that a path's positions and orientations are in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -17,8 +16,7 @@ pub enum Frame {
 }
 
 /// What recorded heights are above.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Heights {
     /// The WGS 84 ellipsoid.
     Ellipsoid,

@@ -20,6 +20,9 @@ const REST_SPEEDS: [f64; 2] = [1e-3, 0.3];
 /// Steepest view along the motion, degrees.
 const PITCH_MAX: f64 = 45.0;
 
+/// The note on a path whose camera was put along the motion for want of orientations.
+pub(super) const ALONG_THE_MOTION: &str = "no orientations: the camera looks along the motion, level";
+
 /// Where the camera is to look, as an option.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Look {
@@ -99,6 +102,7 @@ pub enum Aim<'a> {
 /// second axis across up (north). Its pitch is kept within ±45°.
 pub fn aim(path: &CameraPath, aim: Aim<'_>) -> CameraPath {
     let mut aimed = path.clone();
+    aimed.notes.retain(|note| note != ALONG_THE_MOTION);
     let angles = angles(path, aim);
     for (pose, [yaw, pitch]) in aimed.poses.iter_mut().zip(angles) {
         pose.orientation = level(path, pose.position, yaw, pitch);

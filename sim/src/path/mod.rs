@@ -28,6 +28,7 @@ pub use axes::{Axis, CameraAxes, QuatOrder};
 pub use built_in::built_in;
 pub use facts::PathFacts;
 pub use frame::{Frame, Heights};
+pub(crate) use import::g_nettrack_time;
 pub use look::Look;
 pub use place::Placement;
 

@@ -59,6 +59,7 @@ pub fn is_path_like(file: &Path) -> bool {
 ///   table with a header, two rows a frame, of which those of view 0 are taken; milliseconds, y up). Lines whose time is
 ///   not later than the one before are dropped; quaternions of a length within 10⁻² of 1 are renormalised; both are
 ///   counted in the notes, and so is what was chosen from the motion;
+/// - our own recordings, see [`super::recording`];
 /// - GPX, IGC, KML, ADS-B JSON and G-NetTrack tables: paths on the Earth, whose cameras look along the motion where the
 ///   file does not say otherwise;
 /// - a recording of ours, see [`recording`].

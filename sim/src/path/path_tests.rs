@@ -141,14 +141,25 @@ fn placement_on_a_planet_keeps_the_millimetre() {
 fn placements_are_parsed_and_refused() {
     assert_eq!("centre".parse::<Placement>().unwrap(), Placement::default());
     assert_eq!("geo".parse::<Placement>().unwrap(), Placement::Geo { height: None });
+    let text = "geo,height=3";
+    assert_eq!(text.parse::<Placement>().unwrap().to_string(), text);
     let text = "centre,height=-7.5,yaw=10,scale=3";
     assert_eq!(text.parse::<Placement>().unwrap().to_string(), text);
-    for bad in ["", "center?", "geo,height=3", "centre,height", "centre,height=nan", "centre,scale=0", "centre,x=1"] {
+    for bad in [
+        "",
+        "center?",
+        "geo,yaw=3",
+        "geo,height=x",
+        "centre,height",
+        "centre,height=nan",
+        "centre,scale=0",
+        "centre,x=1",
+    ] {
         assert!(bad.parse::<Placement>().is_err(), "{bad}");
     }
     let site = Site { centre: DVec3::ZERO, up: DVec3::Z, ground_height: 0.0 };
     let error = place(&built_in(), &Placement::Geo { height: None }, &site).unwrap_err().to_string();
-    assert!(error.contains("this path carries no geographic coordinates"), "{error}");
+    assert!(error.contains("a world without geographic coordinates"), "{error}");
     for site in [
         Site { up: DVec3::ZERO, ..site },
         Site { up: DVec3::NAN, ..site },

@@ -6,12 +6,12 @@
 //! {"t":0.016,"position":[1.1,2.0,3.0],"orientation":[0.0,0.0,0.0,1.0]}
 //! ```
 //!
-//! `t` is in seconds, on any clock, and increases. `position` is in metres, in a frame whose up is the header's, or in
-//! Earth-centred, Earth-fixed coordinates where `frame` is `earth` (then `heights` may say what the heights were meant above:
-//! `ellipsoid`, `sea-level`, `pressure` or `ground`). `orientation` is x, y, z, w of the unit quaternion that
-//! turns a camera looking along −z with +y up into the frame. `fov_y` (vertical, radians) and `viewport` (pixels) may be
-//! left out: then those of the line before hold. Further fields are ignored. A line is written at once, so a recording that
-//! was cut off lacks the end of its last line at most.
+//! `t` is in seconds, on any clock, and increases. `position` is in metres, in a frame whose up is the header's; or, where
+//! `frame` is `earth`, in Earth-centred, Earth-fixed coordinates, whose heights are above what the header's `heights` says:
+//! `ellipsoid` (also if absent), `sea-level`, `pressure` or `ground`. `orientation` is x, y, z, w of the unit quaternion
+//! that turns a camera looking along −z with +y up into the frame. `fov_y` (vertical, radians) and `viewport` (pixels) may
+//! be left out: then those of the line before hold. Further fields are ignored. A line is written at once, so a recording
+//! that was cut off lacks the end of its last line at most.
 
 use std::io::Write;
 
@@ -35,12 +35,44 @@ pub const SCHEMA_VERSION: u32 = 1;
 /// A quaternion's length this far from 1 is rounding, and not reported.
 const LENGTH_ROUNDING: f64 = 1e-6;
 
-/// Which frame positions are in, as the header says it.
+/// The header's `frame`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 enum FrameName {
     Local,
     Earth,
+}
+
+/// The header's `heights`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum HeightsName {
+    Ellipsoid,
+    SeaLevel,
+    Pressure,
+    Ground,
+}
+
+impl From<Heights> for HeightsName {
+    fn from(heights: Heights) -> HeightsName {
+        match heights {
+            Heights::Ellipsoid => HeightsName::Ellipsoid,
+            Heights::SeaLevel => HeightsName::SeaLevel,
+            Heights::Pressure => HeightsName::Pressure,
+            Heights::Ground => HeightsName::Ground,
+        }
+    }
+}
+
+impl From<HeightsName> for Heights {
+    fn from(name: HeightsName) -> Heights {
+        match name {
+            HeightsName::Ellipsoid => Heights::Ellipsoid,
+            HeightsName::SeaLevel => Heights::SeaLevel,
+            HeightsName::Pressure => Heights::Pressure,
+            HeightsName::Ground => Heights::Ground,
+        }
+    }
 }
 
 /// A pose at a time, as it is recorded.
@@ -75,10 +107,10 @@ impl<W: Write> Writer<W> {
     pub fn new(name: &str, out: W, frame: Frame, up: DVec3) -> Result<Writer<W>, PathError> {
         let (frame, heights) = match frame {
             Frame::Local => (FrameName::Local, None),
-            Frame::Earth(heights) => (FrameName::Earth, Some(heights)),
+            Frame::Earth(heights) => (FrameName::Earth, Some(heights.into())),
         };
-        let format = FORMAT.to_owned();
-        let header = Header { format, schema_version: SCHEMA_VERSION, frame, heights, up: up.to_array() };
+        let (format, up_numbers) = (FORMAT.to_owned(), up.to_array());
+        let header = Header { format, schema_version: SCHEMA_VERSION, frame, heights, up: up_numbers };
         let mut writer = Writer { name: name.to_owned(), out };
         if up.try_normalize().is_none() {
             let message = format!("up {up}; expected a direction");
@@ -128,7 +160,7 @@ struct Header {
     schema_version: u32,
     frame: FrameName,
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    heights: Option<Heights>,
+    heights: Option<HeightsName>,
     up: [f64; 3],
 }
 
@@ -212,7 +244,7 @@ pub fn from_bytes(name: &str, bytes: &[u8]) -> Result<Recording, PathError> {
         .ok_or_else(|| wrong(number, format!("up {:?}; expected a direction", header.up)))?;
     let frame = match header.frame {
         FrameName::Local => Frame::Local,
-        FrameName::Earth => Frame::Earth(header.heights.unwrap_or(Heights::Ellipsoid)),
+        FrameName::Earth => Frame::Earth(header.heights.map_or(Heights::Ellipsoid, Heights::from)),
     };
     let mut recording = Recording { frame, up, samples: Vec::new(), notes: Vec::new() };
     let (mut dropped, mut renormalised) = (0usize, 0usize);

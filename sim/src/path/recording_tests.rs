@@ -5,7 +5,7 @@ use proptest::prelude::*;
 
 use super::parse::{self, Options};
 use super::recording::{Sample, Writer, from_bytes};
-use super::{CameraPath, teleport};
+use super::{CameraPath, Frame, Heights, Pose, teleport};
 
 fn written(path: &CameraPath) -> Vec<u8> {
     let mut writer = Writer::new("t", Vec::new(), path.frame(), path.up()).unwrap();
@@ -41,6 +41,23 @@ fn what_is_written_is_read_to_the_last_bit() {
     assert_eq!((again.hash(), again.up()), (path.hash(), path.up()));
     let notes = again.notes().join("\n");
     assert!(notes.contains("field of view of 57.30° (see") && notes.contains("640 × 480 (see"), "{notes}");
+}
+
+#[test]
+fn a_recording_on_the_earth_keeps_what_its_heights_are_above() {
+    let pose = |k: u32| Pose {
+        time: f64::from(k),
+        position: DVec3::new(4.0e6, 3.0e6 + f64::from(k), 3.9e6),
+        orientation: DQuat::IDENTITY,
+    };
+    for heights in [Heights::Ellipsoid, Heights::SeaLevel, Heights::Pressure, Heights::Ground] {
+        let path = CameraPath::on_earth("t", (0..9).map(pose).collect(), heights).unwrap();
+        let again = read(&written(&path)).unwrap();
+        assert_eq!((again.frame(), again.hash()), (Frame::Earth(heights), path.hash()));
+    }
+    let unsaid = HEADER.replace("local", "earth");
+    let lines = [&unsaid, &line(6.4e6), &line(6.5e6)].map(String::as_str).join("\n");
+    assert_eq!(read(lines.as_bytes()).unwrap().frame(), Frame::Earth(Heights::Ellipsoid));
 }
 
 #[test]

@@ -62,7 +62,8 @@ fn write_page(comparison: &Comparison, dir: &Path, page: &str) -> io::Result<Pat
     Ok(report)
 }
 
-fn replace(path: &Path, content: &[u8]) -> io::Result<()> {
+/// Writes a file beside its place and then renames it, so that a reader finds the old one or the new one.
+pub fn replace(path: &Path, content: &[u8]) -> io::Result<()> {
     let beside = path.with_added_extension("partial");
     let written = fs::write(&beside, content).and_then(|()| fs::rename(&beside, path));
     if written.is_err() {

@@ -24,8 +24,6 @@ use crate::input;
 const VIEWPORT: [u32; 2] = [1920, 1080];
 /// Vertical field of view, degrees.
 const FOV_Y_DEG: f64 = 60.0;
-/// What the rivals aim at as shipped, pixels.
-const ERROR_TARGET_PX: f64 = 16.0;
 
 /// Concurrent streams that a server should allow at least (RFC 9113, 6.5.2).
 const HTTP_2: usize = 100;
@@ -159,7 +157,7 @@ impl Case {
 
     /// Replays a policy with its options.
     pub(super) fn replay(&self, policy: &str) -> Result<Replayed, CaseError> {
-        let spec = PolicySpec::parse_list(policy, 0.7, ERROR_TARGET_PX)?.swap_remove(0);
+        let spec = PolicySpec::parse_list(policy, 0.7, None)?.swap_remove(0);
         let tree = &self.world.tree;
         let cuts = self.flight.cuts(tree, &Default::default());
         let refinement = Refinement::Atomic;

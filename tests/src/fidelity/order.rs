@@ -13,7 +13,7 @@ pub fn kendall(a: &[f64], b: &[f64]) -> Option<f64> {
             untied_b += in_b.abs();
         }
     }
-    let scale = (untied_a as f64).sqrt() * (untied_b as f64).sqrt();
+    let scale = (untied_a as f64 * untied_b as f64).sqrt();
     (scale > 0.0).then(|| difference as f64 / scale)
 }
 

@@ -5,17 +5,14 @@ use std::path::Path;
 
 use foresight_scheduler::lod_tree::Aabb;
 use glam::DVec3;
+use rayon::prelude::*;
 use serde_json::{Value, json};
 
 use super::super::document::{GenerateError, Params};
 use super::super::glb::glb;
-use super::super::random::Random;
 use super::super::tileset::{self, Written, volume};
 use super::shape::{self, Mesh};
-use super::{
-    AsteroidParams, CELL_MODELS, CLUSTERS, Cell, Kind, MAX_DEPTH, MERGED, MERGED_TRIANGLES, Model, SHAPE, SHAPES,
-    merged, segments,
-};
+use super::{AsteroidParams, CELL_MODELS, CLUSTERS, Cell, Kind, MAX_DEPTH, Model, merged, merged_segments, segments};
 
 /// Most tiles that are written: enough for the scene of the paper.
 pub const MAX_WRITTEN_TILES: u64 = 200_000;
@@ -30,8 +27,8 @@ pub fn write(
     params.check()?;
     let segments = segments(params.triangles);
     tileset::check_tiles(u64::from(params.count) * segments.len() as u64, MAX_WRITTEN_TILES)?;
-    let seeds: Vec<u64> = (0..SHAPES).map(|kind| Random::at(params.seed, SHAPE, kind, 0).next()).collect();
-    let kinds: Vec<Kind> = seeds.iter().map(|&seed| Kind::new(seed, &segments)).collect();
+    let seeds = params.seeds();
+    let kinds: Vec<Kind> = seeds.par_iter().map(|&seed| Kind::new(seed, &segments)).collect();
     let coarse = seeds.iter().map(|&seed| [1, 2, 3].map(|n| shape::mesh(seed, n))).collect();
     let mut tiles = Tiles { kinds, coarse, parts: Vec::new(), count: 0 };
     for (kind, &seed) in seeds.iter().enumerate() {
@@ -139,9 +136,7 @@ impl Tiles {
 
 /// What a cell's merged mesh is made of: its models, or where they are too many a cluster for each occupied part.
 fn stand_ins(models: &[Model], cell: &Cell) -> Vec<(u16, usize, DVec3, f64)> {
-    let count = models.len() as u64;
-    let fits = MERGED.rev().find(|n| count * 8 * (n * n) as u64 <= MERGED_TRIANGLES);
-    if let Some(n) = fits {
+    if let Some(n) = merged_segments(models.len() as u64) {
         return models.iter().map(|model| (model.kind, n as usize - 1, model.at, model.radius)).collect();
     }
     let mut clusters = std::collections::BTreeMap::new();

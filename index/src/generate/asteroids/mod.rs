@@ -1,5 +1,5 @@
-//! Models floating in space, as in the second scene of Hierarchical image-based rendering (Larsson and others): 29,264 of
-//! them with 97,000 triangles each, under an octree. There is no ground; z is called up.
+//! Models floating in space, as in the second scene of \[HIBR\] §7: 29,264 of them with 97,000 triangles each, under an
+//! octree. There is no ground; z is called up.
 //!
 //! Each model is one of a few seeded shapes, scaled, with levels of detail that halve the segments of its mesh: their
 //! errors are measured against the finest and their sizes are those of real encodings. A cell of the octree shows its models
@@ -13,9 +13,10 @@ pub use geometry::{MAX_WRITTEN_TILES, write};
 
 use foresight_scheduler::lod_tree::{Aabb, LodTreeBuilder, LodTreeError, Representation};
 use glam::DVec3;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::document::{GenerateError, Key, MAX_REPRESENTATIONS, ParamError, Params, length, range};
+use super::document::{GenerateError, Key, MAX_REPRESENTATIONS, ParamError, Params, length, put, range};
 use super::random::Random;
 use crate::ground::Ground;
 use crate::uris::UriTableBuilder;
@@ -51,23 +52,23 @@ impl Params for AsteroidParams {
         Key {
             name: "count",
             expected: "models, a whole number",
-            set: |params, text| Some(params.count = text.parse().ok()?),
+            set: |params, text| put(&mut params.count, text.parse().ok()),
         },
-        Key { name: "seed", expected: "a whole number", set: |params, text| Some(params.seed = text.parse().ok()?) },
+        Key { name: "seed", expected: "a whole number", set: |params, text| put(&mut params.seed, text.parse().ok()) },
         Key {
             name: "triangles",
             expected: "triangles of a model",
-            set: |params, text| Some(params.triangles = text.parse().ok()?),
+            set: |params, text| put(&mut params.triangles, text.parse().ok()),
         },
         Key {
             name: "spacing",
             expected: "a length such as 1km",
-            set: |params, text| Some(params.spacing = length(text)?),
+            set: |params, text| put(&mut params.spacing, length(text)),
         },
         Key {
             name: "radius",
             expected: "a length such as 200m",
-            set: |params, text| Some(params.radius = length(text)?),
+            set: |params, text| put(&mut params.radius, length(text)),
         },
     ];
 
@@ -146,11 +147,12 @@ fn segments(triangles: u32) -> Vec<i64> {
 impl Kind {
     fn new(seed: u64, segments: &[i64]) -> Kind {
         let finest = segments.last().copied().unwrap_or(COARSEST);
+        let radii = shape::radii(seed, finest);
         let mut bounds = Aabb::EMPTY;
         let levels = segments.iter().map(|&n| {
             let mesh = shape::mesh(seed, n);
             bounds = bounds.union(mesh.bounds());
-            let error = if n == finest { 0.0 } else { shape::error(seed, n, finest) };
+            let error = if n == finest { 0.0 } else { shape::error(seed, n, finest, &radii) };
             Level { error, wire_bytes: mesh.wire_bytes(), decoded_bytes: mesh.decoded_bytes() }
         });
         let mut levels: Vec<Level> = levels.collect();
@@ -160,7 +162,7 @@ impl Kind {
             least = least.max(level.error);
             level.error = least;
         }
-        let merged = [1, 2, 3].map(|n| shape::error(seed, n, finest).max(least));
+        let merged = [1, 2, 3].map(|n| shape::error(seed, n, finest, &radii).max(least));
         Kind { levels, bounds, merged }
     }
 }
@@ -169,6 +171,11 @@ impl AsteroidParams {
     /// Side of the cube around the models' centres, metres.
     fn side(&self) -> f64 {
         self.spacing * libm::cbrt(f64::from(self.count))
+    }
+
+    /// Seeds of the shapes.
+    fn seeds(&self) -> Vec<u64> {
+        (0..SHAPES).map(|kind| Random::at(self.seed, SHAPE, kind, 0).next()).collect()
     }
 
     fn models(&self) -> Vec<Model> {
@@ -196,8 +203,7 @@ pub fn asteroids(params: &AsteroidParams) -> Result<World, GenerateError> {
         let limit = MAX_REPRESENTATIONS.to_string();
         return Err(GenerateError::TooMany { found: at_least, what: "representations of models", limit });
     }
-    let kinds: Vec<Kind> =
-        (0..SHAPES).map(|kind| Kind::new(Random::at(params.seed, SHAPE, kind, 0).next(), &segments)).collect();
+    let kinds: Vec<Kind> = params.seeds().into_par_iter().map(|seed| Kind::new(seed, &segments)).collect();
     let coarsest: f64 = kinds.iter().map(|kind| f64::from(kind.levels[0].wire_bytes)).sum();
     let triangles = 8 * segments[0] * segments[0] * SHAPES as i64;
     let mut uris = UriTableBuilder::default();
@@ -333,11 +339,15 @@ impl Field {
     }
 }
 
+/// Segments an edge of each of so many models in a merged mesh; `None` where not even the coarsest fit in.
+fn merged_segments(count: u64) -> Option<i64> {
+    MERGED.rev().find(|n| count * 8 * (n * n) as u64 <= MERGED_TRIANGLES)
+}
+
 /// A cell of several models: each of as many triangles as the budget allows, or clusters that lose half their diagonal.
 fn merged(models: &[Model], side: f64, error: impl Fn(&Model, usize) -> f64) -> Merged {
     let count = models.len() as u64;
-    let fits = MERGED.rev().find(|n| count * 8 * (n * n) as u64 <= MERGED_TRIANGLES);
-    match fits {
+    match merged_segments(count) {
         Some(n) => {
             let error = models.iter().map(|model| model.radius * error(model, n as usize)).fold(0.0, f64::max);
             Merged { triangles: count * 8 * (n * n) as u64, error }

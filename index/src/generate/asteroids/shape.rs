@@ -121,11 +121,17 @@ pub(super) fn mesh(seed: u64, n: i64) -> Mesh {
     Mesh { positions, normals, triangles }
 }
 
-/// Largest distance along rays from the centre between the mesh of n segments and the vertices of the one of `fine`.
-pub(super) fn error(seed: u64, n: i64, fine: i64) -> f64 {
-    let coarse: Vec<f64> = lattice(n).map(|point| radius(seed, point.as_dvec3().normalize())).collect();
+/// Distances from the centre of the vertices of the mesh of n segments.
+pub(super) fn radii(seed: u64, n: i64) -> Vec<f64> {
+    lattice(n).map(|point| radius(seed, point.as_dvec3().normalize())).collect()
+}
+
+/// Largest distance along rays from the centre between the mesh of n segments and the vertices of the one of `fine`
+/// segments, which lie at `fine_radii`.
+pub(super) fn error(seed: u64, n: i64, fine: i64, fine_radii: &[f64]) -> f64 {
+    let coarse = radii(seed, n);
     let mut largest = 0.0_f64;
-    for point in lattice(fine) {
+    for (point, fine_radius) in lattice(fine).zip(fine_radii) {
         let on_face = point.as_dvec3() / fine as f64;
         let sign = I64Vec3::new(
             1 - 2 * i64::from(point.x < 0),
@@ -148,7 +154,7 @@ pub(super) fn error(seed: u64, n: i64, fine: i64) -> f64 {
             sum += weight * length / coarse[index(n, q) as usize];
         }
         let distance = on_face.length() / sum;
-        largest = largest.max((distance - radius(seed, on_face.normalize())).abs());
+        largest = largest.max((distance - fine_radius).abs());
     }
     largest
 }
@@ -247,8 +253,9 @@ mod tests {
             });
             expected = expected.max((hits.fold(0.0, f64::max) - radius(seed, along)).abs());
         }
-        assert!((error(seed, n, fine) - expected).abs() < 1e-9, "{} {expected}", error(seed, n, fine));
-        assert!(error(seed, n, n) < 1e-12 && error(seed, 8, 32) < error(seed, 2, 32));
+        let error = |n: i64, fine: i64| error(seed, n, fine, &radii(seed, fine));
+        assert!((error(n, fine) - expected).abs() < 1e-9, "{} {expected}", error(n, fine));
+        assert!(error(n, n) < 1e-12 && error(8, 32) < error(2, 32));
     }
 
     #[test]

@@ -9,15 +9,17 @@ mod model;
 
 pub use geometry::{MAX_WRITTEN_TILES, write};
 
+use std::collections::VecDeque;
 use std::sync::Arc;
 
 use foresight_scheduler::lod_tree::{Aabb, LodTreeBuilder, LodTreeError, Representation};
 use glam::{DVec2, DVec3};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use self::fractal::Fractal;
 use self::model::TileModel;
-use super::document::{GenerateError, Key, MAX_REPRESENTATIONS, ParamError, Params, length, range};
+use super::document::{GenerateError, Key, MAX_REPRESENTATIONS, ParamError, Params, length, put, range};
 use crate::ground::Ground;
 use crate::terrain::TILE_CELLS;
 use crate::uris::UriTableBuilder;
@@ -51,22 +53,26 @@ impl Params for TerrainParams {
     const SCHEMA_VERSION: u32 = 1;
     const FILE_NAME: &'static str = "terrain.json";
     const KEYS: &'static [Key<TerrainParams>] = &[
-        Key { name: "size", expected: "a length such as 40km", set: |params, text| Some(params.size = length(text)?) },
+        Key {
+            name: "size",
+            expected: "a length such as 40km",
+            set: |params, text| put(&mut params.size, length(text)),
+        },
         Key {
             name: "resolution",
             expected: "a length such as 10m",
-            set: |params, text| Some(params.resolution = length(text)?),
+            set: |params, text| put(&mut params.resolution, length(text)),
         },
-        Key { name: "seed", expected: "a whole number", set: |params, text| Some(params.seed = text.parse().ok()?) },
+        Key { name: "seed", expected: "a whole number", set: |params, text| put(&mut params.seed, text.parse().ok()) },
         Key {
             name: "relief",
             expected: "a length such as 2km",
-            set: |params, text| Some(params.relief = length(text)?),
+            set: |params, text| put(&mut params.relief, length(text)),
         },
         Key {
             name: "texels",
             expected: "a whole number",
-            set: |params, text| Some(params.texels = text.parse().ok()?),
+            set: |params, text| put(&mut params.texels, text.parse().ok()),
         },
     ];
 
@@ -120,16 +126,17 @@ impl TerrainParams {
 pub fn terrain(params: &TerrainParams) -> Result<World, GenerateError> {
     params.check()?;
     let shape = params.shape()?;
-    let fractal = params.fractal(&shape);
     let mut uris = UriTableBuilder::default();
     let files = (0..shape.across).map(|y| uris.intern(&format!("{y}.glb"))).collect();
-    let mut catalogue =
-        Catalogue { params, shape, fractal, builder: LodTreeBuilder::default(), uris, files, folders: Vec::new() };
+    let mut folders = Vec::new();
     for level in 0..shape.levels {
-        let across = shape.across.div_ceil(1 << (shape.levels - 1 - level));
-        let folders = (0..across).map(|x| catalogue.uris.intern(&format!("{level}/{x}/"))).collect();
-        catalogue.folders.push(folders);
+        let across = shape.across.div_ceil(shape.tiles(level));
+        folders.push((0..across).map(|x| uris.intern(&format!("{level}/{x}/"))).collect());
     }
+    let fractal = params.fractal(&shape);
+    let ahead = Ahead::new(&shape);
+    let builder = LodTreeBuilder::default();
+    let mut catalogue = Catalogue { params, shape, fractal, builder, uris, files, folders, ahead };
     catalogue.tile(0, 0, 0, f64::INFINITY)?;
     Ok(World {
         name: "terrain".to_owned(),
@@ -143,6 +150,56 @@ pub fn terrain(params: &TerrainParams) -> Result<World, GenerateError> {
     })
 }
 
+/// Levels of the subtrees that are modelled side by side.
+const SUBTREE_LEVELS: u32 = 6;
+/// Subtrees modelled at a time: about 10 MB.
+const SUBTREES: usize = 32;
+
+impl Shape {
+    /// Finest tiles along a side of a tile of a level, counted from the root.
+    fn tiles(&self, level: u32) -> u64 {
+        1 << (self.levels - 1 - level)
+    }
+
+    /// Whether the (x, y)-th tile of a level is there.
+    fn has(&self, level: u32, x: u64, y: u64) -> bool {
+        let tiles = self.tiles(level);
+        x * tiles < self.across && y * tiles < self.across
+    }
+
+    /// Appends a tile and those beneath it, down to a level, in preorder.
+    fn preorder(&self, [level, last]: [u32; 2], x: u64, y: u64, to: &mut Vec<(u32, u64, u64)>) {
+        if !self.has(level, x, y) {
+            return;
+        }
+        to.push((level, x, y));
+        if level < last {
+            for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+                self.preorder([level + 1, last], 2 * x + dx, 2 * y + dy, to);
+            }
+        }
+    }
+}
+
+/// Tiles that are modelled, a batch of subtrees in parallel, before the tree takes them one by one.
+struct Ahead {
+    /// Level of the subtrees' roots, and these, in preorder.
+    level: u32,
+    roots: std::vec::IntoIter<(u32, u64, u64)>,
+    ready: VecDeque<Vec<TileModel>>,
+    current: std::vec::IntoIter<TileModel>,
+}
+
+impl Ahead {
+    fn new(shape: &Shape) -> Ahead {
+        let level = shape.levels.saturating_sub(SUBTREE_LEVELS);
+        let mut roots = Vec::new();
+        shape.preorder([0, level], 0, 0, &mut roots);
+        roots.retain(|root| root.0 == level);
+        Ahead { level, roots: roots.into_iter(), ready: VecDeque::new(), current: Vec::new().into_iter() }
+    }
+}
+
 struct Catalogue<'a> {
     params: &'a TerrainParams,
     shape: Shape,
@@ -153,17 +210,36 @@ struct Catalogue<'a> {
     files: Vec<u32>,
     /// Ids of the folders' names by level and column.
     folders: Vec<Vec<u32>>,
+    ahead: Ahead,
 }
 
 impl Catalogue<'_> {
-    /// Adds tile (x, y) of a level counted from the root, and those beneath it. Recursion goes down the levels: at most 14.
+    /// The model of the next tile in preorder.
+    fn model(&mut self, level: u32, x: u64, y: u64) -> TileModel {
+        let (params, shape, fractal) = (self.params, &self.shape, &self.fractal);
+        let model = |(level, x, y)| model::tile(params, shape, fractal, shape.tiles(level), x, y);
+        if level == self.ahead.level {
+            if self.ahead.ready.is_empty() {
+                let batch: Vec<_> = self.ahead.roots.by_ref().take(SUBTREES).collect();
+                let modelled = batch.into_par_iter().map(|(level, x, y)| {
+                    let mut tiles = Vec::new();
+                    shape.preorder([level, shape.levels - 1], x, y, &mut tiles);
+                    tiles.into_iter().map(model).collect()
+                });
+                self.ahead.ready = modelled.collect::<Vec<_>>().into();
+            }
+            self.ahead.current = self.ahead.ready.pop_front().unwrap_or_default().into_iter();
+        }
+        let ready = if level < self.ahead.level { None } else { self.ahead.current.next() };
+        ready.unwrap_or_else(|| model((level, x, y)))
+    }
+
+    /// Adds tile (x, y) of a level and those beneath it. Recursion goes down the levels: at most 14.
     fn tile(&mut self, level: u32, x: u64, y: u64, above: f64) -> Result<(), LodTreeError> {
-        let tiles = 1 << (self.shape.levels - 1 - level);
-        if x * tiles >= self.shape.across || y * tiles >= self.shape.across {
+        if !self.shape.has(level, x, y) {
             return Ok(());
         }
-        let TileModel { low, high, error, wire_bytes, decoded_bytes, min, max } =
-            model::tile(self.params, &self.shape, &self.fractal, tiles, x, y);
+        let TileModel { low, high, error, wire_bytes, decoded_bytes, min, max } = self.model(level, x, y);
         // Not above that of the tile that it refines.
         let error = error.min(above);
         self.builder.open()?;
@@ -177,7 +253,7 @@ impl Catalogue<'_> {
             direction: None,
         })?;
         self.uris.push(self.folders[level as usize][x as usize], self.files[y as usize]);
-        if tiles > 1 {
+        if level + 1 < self.shape.levels {
             for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
                 self.tile(level + 1, 2 * x + dx, 2 * y + dy, error)?;
             }

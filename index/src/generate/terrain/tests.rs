@@ -16,6 +16,18 @@ fn the_quadtree_covers_the_square() {
     let bounds = world.summary().bounds;
     assert_eq!((bounds.min.truncate(), bounds.max.truncate()), (DVec2::splat(-5120.0), DVec2::splat(5120.0)));
     assert!(bounds.min.z >= 0.0 && bounds.max.z <= 2000.0 && bounds.max.z - bounds.min.z > 300.0, "{bounds:?}");
+    // Of more than one subtree that is modelled by itself, a tile is what it is by itself.
+    let params = TerrainParams { size: 70.0 * 640.0, ..small() };
+    let (world, shape) = (terrain(&params).unwrap(), params.shape().unwrap());
+    let mut tiles = Vec::new();
+    shape.preorder([0, shape.levels - 1], 0, 0, &mut tiles);
+    assert_eq!((tiles.len(), shape.levels), (world.tree.representations(), 8));
+    let fractal = params.fractal(&shape);
+    for (rep, &(level, x, y)) in tiles.iter().enumerate().step_by(97) {
+        let model = model::tile(&params, &shape, &fractal, shape.tiles(level), x, y);
+        assert_eq!(world.tree.wire_bytes(RepId(rep as u32)), u64::from(model.wire_bytes), "{level} {x} {y}");
+        assert_eq!(world.uri(RepId(rep as u32)), format!("{level}/{x}/{y}.glb"));
+    }
     let odd = TerrainParams { size: 5.0 * 640.0, ..small() };
     assert_eq!(terrain(&odd).unwrap().tree.representations(), 25 + 9 + 4 + 1);
 }
@@ -116,7 +128,7 @@ fn a_written_terrain_is_opened_as_what_was_measured() {
     let world = open(&out).unwrap();
     assert!(world.notes.is_empty(), "{:?}", world.notes);
     assert_eq!((world.up, world.tree.representations()), (DVec3::Z, 14));
-    let sizes: u64 = (0..14).map(|rep| u64::from(world.tree.wire_bytes(RepId(rep)))).sum();
+    let sizes: u64 = (0..14).map(|rep| world.tree.wire_bytes(RepId(rep))).sum();
     assert_eq!(sizes, written.bytes);
     // The same surface as the catalogue's, and the same errors as an elevation grid would have.
     let catalogue = terrain(&params).unwrap();

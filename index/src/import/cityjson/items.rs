@@ -33,6 +33,8 @@ pub(super) struct Item {
     pub(super) weight: usize,
     /// Area on the plane that it may be said to fill, m²; infinite for a triangle of something larger.
     pub(super) footprint: f64,
+    /// Diameter of the whole object, metres.
+    pub(super) whole: f64,
     pub(super) patches: Vec<Patch>,
 }
 
@@ -55,21 +57,22 @@ pub(super) fn items(model: &Model) -> Vec<Item> {
         let patches = patches(model, members);
         let weight = patches.iter().filter(|patch| patch.until == FINEST).map(|patch| patch.triangles.len()).sum();
         let is_terrain = members.iter().any(|&at| model.objects[at].kind == "TINRelief");
+        let all = patches.iter().map(|patch| bounds(&model.vertices, &patch.triangles)).fold(Aabb::EMPTY, Aabb::union);
+        let size = all.max - all.min;
+        let whole = size.length();
         if is_terrain || weight > MAX_TILE_TRIANGLES {
             for Patch { from, until, triangles } in patches {
                 items.extend(triangles.into_iter().map(|triangle| {
                     let bounds = bounds(&model.vertices, &[triangle]);
                     let patches = vec![Patch { from, until, triangles: vec![triangle] }];
                     let weight = usize::from(until == FINEST);
-                    Item { anchor: bounds.centre().truncate(), bounds, weight, footprint: f64::INFINITY, patches }
+                    let anchor = bounds.centre().truncate();
+                    Item { anchor, bounds, weight, footprint: f64::INFINITY, whole, patches }
                 }));
             }
         } else if !patches.is_empty() {
-            let all = patches.iter().map(|patch| bounds(&model.vertices, &patch.triangles));
-            let bounds = all.fold(Aabb::EMPTY, Aabb::union);
-            let size = bounds.max - bounds.min;
-            let (anchor, footprint) = (bounds.centre().truncate(), size.x * size.y);
-            items.push(Item { anchor, bounds, weight, footprint, patches });
+            let anchor = all.centre().truncate();
+            items.push(Item { anchor, bounds: all, weight, footprint: size.x * size.y, whole, patches });
         }
     }
     items

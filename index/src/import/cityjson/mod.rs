@@ -104,7 +104,7 @@ pub fn open(file: &Path) -> Result<World, CityJsonError> {
         notes.push(Note { severity: Severity::Missing, file: name.clone(), place: String::new(), text });
     }
     if out.loose > 0 {
-        let text = format!("{} errors are upper bounds more than 5 % above what was found", out.loose);
+        let text = format!("{} errors are upper bounds that may be well above the true ones", out.loose);
         notes.push(Note { severity: Severity::Trap, file: name.clone(), place: String::new(), text });
     }
     Ok(World {

@@ -1,9 +1,9 @@
 //! Which tiles a frame uses: the passes of `traverseFunctions.js`, over flat arrays and without recursion.
 
-use super::tile::Tile;
 use super::{TilesRenderer, Visit};
 use crate::benefit::frustum::{Frustum, Side};
 use crate::lod_tree::LodTree;
+use crate::policy::tileset::tile::Tile;
 use crate::state::ClientState;
 use glam::DVec3;
 

@@ -1,6 +1,7 @@
 //! What the cache drops: `LRUCache.js` and `lruPriorityCallback`.
 
-use super::{TilesRenderer, by_priority, first_missing};
+use super::{TilesRenderer, by_priority};
+use crate::policy::tileset::first_missing;
 use crate::scheduler::Action;
 use crate::state::{ClientState, Status};
 

@@ -22,8 +22,9 @@ pub(super) fn describe(out: &mut impl Write, file: &str, link: &LinkTrace) -> st
     writeln!(out, "  by the second: median {median} Mbit/s; 5, 25, 75, 95 %: {p05}, {p25}, {p75}, {p95} Mbit/s")?;
     writeln!(
         out,
-        "  {:.1} % of the seconds deliver less than 5 % of the mean; longest time without a byte {:.3} s",
+        "  {:.1} % of the seconds deliver less than 5 % of the mean, at most {:.0} s in a row; longest time without a byte {:.3} s",
         statistics.near_zero_share * 100.0,
+        statistics.longest_near_zero.secs(),
         statistics.longest_outage.secs()
     )?;
     if link.loss() > 0.0 {

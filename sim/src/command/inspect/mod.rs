@@ -57,7 +57,7 @@ fn recognise(file: &str, args: &PathArgs) -> anyhow::Result<Vec<Input>> {
             Ok(link) => Ok(vec![Input::Link(link)]),
             Err(link_error) => match foresight_index::world::open(path) {
                 Ok(world) => Ok(vec![Input::World(Box::new(world))]),
-                Err(error @ WorldError::Elevation(_)) => Err(error.into()),
+                Err(error @ (WorldError::Elevation(_) | WorldError::CityJson(_))) => Err(error.into()),
                 Err(_) => bail!("{file} is neither a path ({path_error:#}) nor a link ({link_error})"),
             },
         },

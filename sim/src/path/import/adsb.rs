@@ -1,5 +1,6 @@
 //! ADS-B states in JSON: a list of records with `timestamp` (ms since 1970), `icao24`, `callsign`, `latitude` and
-//! `longitude` (degrees), `altitude` (feet, by air pressure), `geoaltitude` (feet, by GNSS); others are ignored, and a
+//! `longitude` (degrees), `altitude` (feet, by air pressure), `geoaltitude` (feet, by GNSS), `groundspeed` (knots), `last_position` (ms
+//! since 1970, when the position was received: the position's time where all records have it); others are ignored, and a
 //! record may lack any.
 
 use std::cell::Cell;
@@ -18,8 +19,17 @@ use super::track::{Fix, Track};
 /// Metres per foot.
 const FOOT: f64 = 0.3048;
 
+/// Metres per second per knot.
+const KNOT: f64 = 1852.0 / 3600.0;
+
+/// A speed off by more than this share from the stated one is worth a note.
+const SPEED_MARGIN: f64 = 0.2;
+
 /// Transponders report altitudes in steps of so many feet, or in finer ones.
 const ALTITUDE_STEP: f64 = 25.0;
+
+/// A position's reception is at most so long before its record, seconds.
+const RECEPTION_MAX: f64 = 60.0;
 
 /// Aircraft that a note names.
 const NAMED_MAX: usize = 8;
@@ -33,9 +43,11 @@ struct Record {
     longitude: Option<f64>,
     altitude: Option<f64>,
     geoaltitude: Option<f64>,
+    groundspeed: Option<f64>,
+    last_position: Option<f64>,
 }
 
-/// A state with a position: seconds, degrees, feet.
+/// A state with a position: seconds, degrees, feet, knots.
 #[derive(Clone, Copy)]
 struct State {
     time: f64,
@@ -43,6 +55,9 @@ struct State {
     longitude: f64,
     pressure: Option<f64>,
     gnss: Option<f64>,
+    ground_speed: Option<f64>,
+    /// When the position was received, seconds.
+    received: Option<f64>,
 }
 
 #[derive(Default)]
@@ -51,6 +66,8 @@ struct Aircraft {
     callsigns: BTreeSet<String>,
     /// Records without time or position.
     incomplete: usize,
+    /// Times are those when positions were received.
+    is_by_reception: bool,
 }
 
 impl Aircraft {
@@ -58,6 +75,17 @@ impl Aircraft {
         let callsigns: Vec<&str> = self.callsigns.iter().take(3).map(String::as_str).collect();
         let callsigns = if callsigns.is_empty() { "no callsign".to_owned() } else { callsigns.join(" ") };
         format!("{icao24} ({callsigns}, {} positions)", self.states.len())
+    }
+
+    /// Puts each position at the time when it was received, where every record knows that.
+    fn use_reception(&mut self) {
+        let is_near = |state: &State| state.received.is_some_and(|at| (at - state.time).abs() <= RECEPTION_MAX);
+        self.is_by_reception = self.states.iter().all(is_near);
+        if self.is_by_reception {
+            for state in &mut self.states {
+                state.time = state.received.unwrap_or(state.time);
+            }
+        }
     }
 
     fn start(&self) -> f64 {
@@ -86,6 +114,9 @@ impl Aircraft {
         if self.incomplete > 0 {
             track.add_note(format!("{} records of {icao24} without time or position left out", self.incomplete));
         }
+        if self.is_by_reception {
+            track.add_note("times are those of last_position, when each position was received");
+        }
         let both = || self.states.iter().filter_map(|state| Some(state.gnss? - state.pressure?));
         let count = both().count();
         if has_gnss && count > 0 {
@@ -94,17 +125,39 @@ impl Aircraft {
                 "mind: geoaltitude taken ({heights}), on average {mean:+.1} m against the pressure altitude, which the \
                  file holds too"
             ));
-        } else if !has_gnss {
-            track.add_note(
-                "mind: pressure altitudes (1013.25 hPa): off from heights above sea level by about 8 m per hPa, and \
-                 those from heights above the ellipsoid by up to 107 m",
-            );
         }
         let used = || self.states.iter().filter_map(|state| if has_gnss { state.gnss } else { state.pressure });
         if used().count() > 1 && used().all(|feet| feet % ALTITUDE_STEP == 0.0) {
             track.add_note(format!("heights in steps of {ALTITUDE_STEP} ft ({:.1} m)", ALTITUDE_STEP * FOOT));
         }
-        track.finish(heights)
+        let mut path = track.finish(heights)?;
+        if let Some([low, high]) = self.speed_ratios(&path) {
+            path.add_note(format!(
+                "mind: from one position to the next the aircraft moves {low:.2} to {high:.2} times as fast as the ground \
+                 speed that the file states (5th to 95th percentile): times are coarser than positions"
+            ));
+        }
+        Ok(path)
+    }
+
+    /// 5th and 95th percentile of the speed between two positions over the stated one, where they are worth a note.
+    /// Compared only where no record was dropped or put elsewhere.
+    fn speed_ratios(&self, path: &CameraPath) -> Option<[f64; 2]> {
+        let poses = path.poses();
+        if poses.len() != self.states.len() {
+            return None;
+        }
+        let steps = poses.windows(2).zip(&self.states);
+        let mut ratios: Vec<f64> = steps
+            .filter_map(|(pair, state)| {
+                let stated = state.ground_speed.filter(|speed| *speed > 0.0)? * KNOT;
+                Some(pair[0].position.distance(pair[1].position) / (pair[1].time - pair[0].time) / stated)
+            })
+            .collect();
+        ratios.sort_by(f64::total_cmp);
+        let low = *ratios.get(ratios.len() / 20)?;
+        let high = *ratios.get(ratios.len() - 1 - ratios.len() / 20)?;
+        (low < 1.0 - SPEED_MARGIN || high > 1.0 + SPEED_MARGIN).then_some([low, high])
     }
 }
 
@@ -145,17 +198,19 @@ pub(super) fn read(name: &str, bytes: &[u8], options: &Options) -> Result<Camera
     let mut aimed = aim(&path, Aim::Path(&target, earlier));
     let together = |time: f64| (0.0..=target.duration()).contains(&(time + earlier));
     let distances = path.poses().iter().filter(|pose| together(pose.time));
-    let distances: Vec<f64> = distances.map(|pose| pose.position.distance(target.at(pose.time + earlier).0)).collect();
-    let (low, high) = distances.iter().fold((f64::INFINITY, 0.0_f64), |(low, high), d| (low.min(*d), high.max(*d)));
-    aimed.add_note(if distances.is_empty() {
-        format!("{other_id} is never under way at the same time: the camera looks along the motion")
-    } else {
-        format!(
-            "the camera is aimed at {}, {low:.0} m to {high:.0} m away, in {} of {} poses",
+    let mut distances: Vec<f64> =
+        distances.map(|pose| pose.position.distance(target.at(pose.time + earlier).0)).collect();
+    distances.sort_by(f64::total_cmp);
+    aimed.add_note(match (distances.first(), distances.last()) {
+        (Some(nearest), Some(farthest)) => format!(
+            "the camera is aimed at {} in {} of {} poses, {nearest:.0} m to {farthest:.0} m away, half of the time nearer \
+             than {:.0} m",
             other.name(other_id),
             distances.len(),
-            path.poses().len()
-        )
+            path.poses().len(),
+            distances[distances.len() / 2]
+        ),
+        _ => format!("{other_id} is never under way at the same time: the camera looks along the motion"),
     });
     Ok(aimed)
 }
@@ -170,6 +225,7 @@ fn fleet(name: &str, bytes: &[u8]) -> Result<Fleet, PathError> {
         place: format!("[{}]", count.get()),
         message: error.to_string(),
     })?;
+    fleet.values_mut().for_each(Aircraft::use_reception);
     Ok(fleet)
 }
 
@@ -197,14 +253,9 @@ impl<'de> Visitor<'de> for Records<'_> {
     fn visit_seq<A: SeqAccess<'de>>(self, mut records: A) -> Result<(), A::Error> {
         while let Some(record) = records.next_element::<Record>()? {
             let icao24 = record.icao24.ok_or_else(|| A::Error::custom("a record without icao24; expected one"))?;
-            if !self.fleet.contains_key(&icao24.to_ascii_lowercase()) {
-                self.fleet.insert(icao24.to_ascii_lowercase(), Aircraft::default());
-            }
-            let Some(aircraft) = self.fleet.get_mut(&icao24.to_ascii_lowercase()) else { continue };
+            let aircraft = self.fleet.entry(icao24.to_ascii_lowercase()).or_default();
             if let Some(callsign) = record.callsign.as_deref().map(str::trim).filter(|text| !text.is_empty()) {
-                if !aircraft.callsigns.contains(callsign) {
-                    aircraft.callsigns.insert(callsign.to_owned());
-                }
+                aircraft.callsigns.insert(callsign.to_owned());
             }
             match (record.timestamp, record.latitude, record.longitude) {
                 (Some(milliseconds), Some(latitude), Some(longitude)) => aircraft.states.push(State {
@@ -213,6 +264,8 @@ impl<'de> Visitor<'de> for Records<'_> {
                     longitude,
                     pressure: record.altitude,
                     gnss: record.geoaltitude,
+                    ground_speed: record.groundspeed,
+                    received: record.last_position.map(|milliseconds| milliseconds * 1e-3),
                 }),
                 _ => aircraft.incomplete += 1,
             }

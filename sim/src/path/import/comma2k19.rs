@@ -82,8 +82,8 @@ pub(super) fn read(name: &str, arrays: [&[u8]; 3], options: &Options) -> Result<
             return Err(wrong(1, format!("row {row}: {position}; expected metres from the Earth's centre")));
         }
         let quaternion = order.quaternion(*numbers);
-        if !((quaternion.length() - 1.0).abs() <= QUATERNION_TOLERANCE) {
-            let length = quaternion.length();
+        let length = quaternion.length();
+        if length.is_nan() || (length - 1.0).abs() > QUATERNION_TOLERANCE {
             return Err(wrong(2, format!("row {row}: a quaternion of length {length}; expected 1")));
         }
         let time = time - start;

@@ -97,7 +97,7 @@ pub(super) fn read(name: &str, mut lines: TextLines<'_>) -> Result<CameraPath, P
 }
 
 /// Seconds since 1970 of `YYYY.MM.DD_hh.mm.ss`.
-fn time_of(text: &str) -> Option<f64> {
+pub(crate) fn time_of(text: &str) -> Option<f64> {
     let (date, clock) = text.split_once('_')?;
     let three = |text: &str| {
         let mut parts = text.split('.').map(|part| part.parse::<u16>().ok());

@@ -29,9 +29,12 @@ use super::parse::Options;
 use super::{CameraPath, PathError};
 
 pub(super) use comma2k19::{from_folder, is_array, is_folder};
+pub(crate) use irish5g::time_of as g_nettrack_time;
 
-/// Most bytes that a compressed file may hold.
+/// Most bytes that a compressed file may hold …
 const DECOMPRESSED_BYTES_MAX: u64 = 1 << 30;
+/// … and most for each of its own, beyond a first mebibyte; recordings stay below 30.
+const DECOMPRESSED_RATIO_MAX: u64 = 200;
 
 /// How many lines are looked at for what only an IGC file holds.
 const IGC_LINES: usize = 200;
@@ -53,6 +56,8 @@ pub enum Format {
     AdsB,
     /// A G-NetTrack table with positions and bitrates.
     Irish5g,
+    /// Our own recording.
+    Recording,
 }
 
 impl fmt::Display for Format {
@@ -65,6 +70,7 @@ impl fmt::Display for Format {
             Format::Kml => "KML",
             Format::AdsB => "ADS-B JSON",
             Format::Irish5g => "a G-NetTrack table",
+            Format::Recording => "a foresight-recording",
         })
     }
 }
@@ -84,6 +90,7 @@ fn recognise(name: &str, bytes: &[u8]) -> Result<Format, PathError> {
                 _ => Err(PathError::Unsupported { name: name.to_owned(), line: 1, found: format!("<{root}>") }),
             };
         }
+        Some(b'{') if super::recording::is_recording(text) => return Ok(Format::Recording),
         Some(b'[' | b'{') => return Ok(Format::AdsB),
         _ => {}
     }
@@ -106,10 +113,11 @@ pub(super) fn read(name: &str, bytes: &[u8], options: &Options) -> Result<Camera
     }
     let mut content = Vec::new();
     let decoder = MultiGzDecoder::new(bytes);
-    let read = decoder.take(DECOMPRESSED_BYTES_MAX + 1).read_to_end(&mut content);
+    let most = DECOMPRESSED_BYTES_MAX.min((1 << 20) + DECOMPRESSED_RATIO_MAX * bytes.len() as u64);
+    let read = decoder.take(most + 1).read_to_end(&mut content);
     read.map_err(|error| PathError::Whole { name: name.to_owned(), message: format!("gzip: {error}") })?;
-    if content.len() as u64 > DECOMPRESSED_BYTES_MAX {
-        let message = format!("more than {DECOMPRESSED_BYTES_MAX} bytes decompressed; expected at most that");
+    if content.len() as u64 > most {
+        let message = format!("{} bytes hold more than {most}; expected at most that decompressed", bytes.len());
         return Err(PathError::Whole { name: name.to_owned(), message });
     }
     read_as(recognise(name, &content)?, name, &content, options)
@@ -137,6 +145,7 @@ pub(super) fn read_as(format: Format, name: &str, bytes: &[u8], options: &Option
         Format::Kml => kml::read(name, bytes),
         Format::AdsB => adsb::read(name, bytes, options),
         Format::Irish5g => irish5g::read(name, text_lines(name, bytes)?),
+        Format::Recording => super::recording::path_from_bytes(name, bytes, options),
     }
 }
 

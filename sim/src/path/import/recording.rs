@@ -29,6 +29,11 @@ impl<'a> Recording<'a> {
         Recording { name, poses: Vec::new(), claimed: None, start: 0.0, dropped: 0, renormalised: 0, length_error: 0.0 }
     }
 
+    /// No line was taken.
+    pub(super) fn is_untouched(&self) -> bool {
+        self.poses.is_empty()
+    }
+
     pub(super) fn line_error(&self, line: usize, message: String) -> PathError {
         PathError::Line { name: self.name.to_owned(), line, message }
     }

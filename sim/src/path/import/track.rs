@@ -64,16 +64,16 @@ impl<'a> Track<'a> {
     /// # Errors
     /// What is wrong with it: the caller knows where it stands.
     pub(super) fn push(&mut self, fix: Fix) -> Result<(), String> {
-        if !(fix.latitude.abs() <= 90.0) {
+        if !(-90.0..=90.0).contains(&fix.latitude) {
             return Err(format!("a latitude of {}; expected degrees from −90 to 90", fix.latitude));
         }
         if !(-180.0..=360.0).contains(&fix.longitude) {
             return Err(format!("a longitude of {}; expected degrees from −180 to 360", fix.longitude));
         }
-        if let Some(height) = fix.height.filter(|height| !(height.abs() <= HEIGHT_MAX)) {
+        if let Some(height) = fix.height.filter(|height| !(-HEIGHT_MAX..=HEIGHT_MAX).contains(height)) {
             return Err(format!("a height of {height}; expected metres, at most {HEIGHT_MAX}"));
         }
-        if !(fix.time.abs() <= TIME_MAX) {
+        if !(-TIME_MAX..=TIME_MAX).contains(&fix.time) {
             return Err(format!("a time of {} s; expected at most {TIME_MAX}", fix.time));
         }
         if let Some(a) = fix.attitude.filter(|a| ![a.heading, a.pitch, a.roll].iter().all(|v| v.abs() <= 1e6)) {
@@ -117,16 +117,16 @@ impl<'a> Track<'a> {
         });
         let poses = poses.collect();
         let mut path = CameraPath::on_earth(self.name, poses, heights)?;
+        for note in self.notes {
+            path.add_note(note);
+        }
         let without = has_attitude.iter().filter(|has| !**has).count();
         if without > 0 {
             look::complete(&mut path, &has_attitude);
             path.add_note(match without == has_attitude.len() {
-                true => "no orientations: the camera looks along the motion, level".to_owned(),
+                true => look::ALONG_THE_MOTION.to_owned(),
                 false => format!("{without} of {} poses without orientation look along the motion", has_attitude.len()),
             });
-        }
-        for note in self.notes {
-            path.add_note(note);
         }
         Ok(path)
     }

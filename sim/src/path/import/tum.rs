@@ -37,6 +37,10 @@ pub(super) fn read(name: &str, bytes: &[u8], lines: TextLines<'_>, options: &Opt
         let [seconds, rest @ ..] = numbers;
         recording.push(number, seconds, rest)?;
     }
+    if recording.is_untouched() {
+        let message = "is empty; expected poses over time".to_owned();
+        return Err(PathError::Whole { name: name.to_owned(), message });
+    }
     let axes = CameraAxes { forward: Axis::Z, up: Axis::MINUS_Y };
     let note = (longer > 0).then(|| format!("{longer} lines with more than 8 columns: the others ignored"));
     recording.finish(Convention { order: QuatOrder::Xyzw, axes, up: Axis::Z }, Vec::from_iter(note), options)

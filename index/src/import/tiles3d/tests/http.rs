@@ -122,7 +122,7 @@ fn answers_that_are_no_files() {
     let mut zipped = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
     zipped.write_all(&rectangle(None)).unwrap();
     let zipped = zipped.finish().unwrap();
-    let length = zipped.len() as u32;
+    let length = zipped.len() as u64;
     answers.insert("/root.glb".to_owned(), ("200 OK", "content-encoding: gzip\r\n".to_owned(), zipped));
     answers.insert("/a%20b.glb".to_owned(), ("200 OK", "content-encoding: br\r\n".to_owned(), vec![1]));
     answers.insert("/east".to_owned(), ("500 Oh", String::new(), Vec::new()));

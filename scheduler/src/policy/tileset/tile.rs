@@ -3,34 +3,36 @@
 use crate::lod_tree::{LodTree, NodeId, RepId};
 
 /// No tile.
-const NONE: u32 = u32::MAX;
+pub(in crate::policy) const NONE: u32 = u32::MAX;
 
 /// A tile, by its place in preorder.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Tile {
-    pub(crate) node: NodeId,
-    pub(crate) parent: u32,
-    pub(crate) subtree_end: u32,
+pub(in crate::policy) struct Tile {
+    pub(in crate::policy) node: NodeId,
+    pub(in crate::policy) parent: u32,
+    pub(in crate::policy) subtree_end: u32,
+    /// Number of tiles above, with content or without.
+    pub(in crate::policy) level: u32,
     /// Its contents are `contents[first_content..end_content]`.
-    pub(crate) first_content: u32,
-    pub(crate) end_content: u32,
-    /// Number of tiles with content from the root to here (`depthFromRenderedParent`).
-    pub(crate) depth: u32,
+    pub(in crate::policy) first_content: u32,
+    pub(in crate::policy) end_content: u32,
+    /// Number of tiles with content from the root to here.
+    pub(in crate::policy) depth: u32,
     /// Geometric error, metres; ∞ without content.
-    pub(crate) error: f64,
-    /// Refined whatever its error on screen (`unconditionallyRefine`).
-    pub(crate) unconditional: bool,
+    pub(in crate::policy) error: f64,
+    /// Its error is not below that of the nearest tile above that has content and is not itself such a tile.
+    pub(in crate::policy) unconditional: bool,
 }
 
 impl Tile {
     /// Nothing to load.
-    pub(crate) fn is_empty(&self) -> bool {
+    pub(in crate::policy) fn is_empty(&self) -> bool {
         self.first_content == self.end_content
     }
 }
 
 /// The tiles in preorder, their contents in the order of the tiles, and each representation's tile.
-pub(crate) fn tiles_of(tree: &LodTree) -> (Vec<Tile>, Vec<RepId>, Vec<u32>) {
+pub(in crate::policy) fn tiles_of(tree: &LodTree) -> (Vec<Tile>, Vec<RepId>, Vec<u32>) {
     let mut tiles: Vec<Tile> = Vec::with_capacity(tree.nodes());
     let mut contents: Vec<RepId> = Vec::with_capacity(tree.representations());
     let mut tile_of = vec![NONE; tree.representations()];
@@ -47,7 +49,7 @@ pub(crate) fn tiles_of(tree: &LodTree) -> (Vec<Tile>, Vec<RepId>, Vec<u32>) {
         loop {
             let error = contents.get(next).map_or(f64::INFINITY, |&r| tree.error(r));
             let count = contents[next..].iter().take_while(|&&r| tree.error(r) == error).count();
-            let above = tiles.get(parent as usize).map(|p| p.depth);
+            let above = tiles.get(parent as usize).map(|p| (p.depth, p.level + 1));
             let limit = bound.get(parent as usize).copied().unwrap_or(f64::INFINITY);
             let unconditional = count > 0 && error >= limit;
             let id = tiles.len() as u32;
@@ -60,7 +62,8 @@ pub(crate) fn tiles_of(tree: &LodTree) -> (Vec<Tile>, Vec<RepId>, Vec<u32>) {
                 subtree_end: 0,
                 first_content: next as u32,
                 end_content: (next + count) as u32,
-                depth: above.unwrap_or(0) + u32::from(count > 0),
+                level: above.map_or(0, |(_, level)| level),
+                depth: above.map_or(0, |(depth, _)| depth) + u32::from(count > 0),
                 error,
                 unconditional,
             });
@@ -81,7 +84,7 @@ pub(crate) fn tiles_of(tree: &LodTree) -> (Vec<Tile>, Vec<RepId>, Vec<u32>) {
 }
 
 /// Per tile, whether all that lies beneath it is beneath a descendant for which `shows` holds.
-pub(crate) fn shown_beneath(tiles: &[Tile], shows: impl Fn(&Tile) -> bool) -> Vec<bool> {
+pub(in crate::policy) fn shown_beneath(tiles: &[Tile], shows: impl Fn(&Tile) -> bool) -> Vec<bool> {
     let mut shown: Vec<bool> = (0u32..).zip(tiles).map(|(id, tile)| tile.subtree_end > id + 1).collect();
     for id in (0..tiles.len()).rev() {
         let parent = tiles[id].parent as usize;
