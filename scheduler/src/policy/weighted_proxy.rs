@@ -26,10 +26,10 @@
 //!   target, in pixels.
 //! - The number of streams at a time has no limit; requests in flight: 4.
 //! - The safe margin of 10 % of the bandwidth is the proxy's, not the client's: it is not held back.
-//! - The thesis drops nothing. Here the least recently used goes when room is needed. Used is what is in view or within
-//!   the area of interest, as far as memory holds it: level after level, nearest first in each, lowest levels out of
-//!   view last; only that is requested. When room is still missing, requests wait for what is on its way, and when
-//!   nothing is, what does not fit is passed over.
+//! - The thesis drops nothing. Here the least recently used goes when room is needed; what is in view, and the lowest
+//!   levels within the area of interest, are used. When that is not enough, requests wait for what is on its way, and
+//!   when nothing is, what does not fit is passed over. Keeping only as much of what is in view as memory holds,
+//!   level after level, was tried: it fetches the same again and again, and is worse.
 //! - Where children replace their parent together, siblings out of view are streams like those in view.
 //! - A failed request is made again.
 
@@ -187,13 +187,12 @@ impl WeightedProxy {
         &self.contents[tile.first_content as usize..tile.end_content as usize]
     }
 
-    /// Lists what is in view or of interest, and whether it is missing, as far as memory holds it.
+    /// Lists what is in view or of interest, in preorder, and whether it is missing.
     fn look(&mut self, state: &ClientState, view: &View) {
         let (tree, frustum) = (state.tree, Frustum::new(view));
         let target = self.settings.error_target_px;
         let atomic = state.resident().refinement() == Refinement::Atomic;
         self.looked_at.clear();
-        let mut bytes = 0u64;
         let mut next = 0u32;
         while next < self.tiles.len() as u32 {
             let id = next;
@@ -220,30 +219,10 @@ impl WeightedProxy {
             };
             let own = self.own(&tile);
             let missing = own.iter().any(|&r| state.status(r) == Status::Absent);
-            bytes += own.iter().map(|&r| tree.decoded_bytes(r)).sum::<u64>();
             self.looked_at.push(Looked { branch, missing, distance: distance.max(self.smallest), tile: id });
             let refine = !missing && in_view && tile.error * frustum.pixels_per_radian > target * distance;
             next = if refine { id + 1 } else { tile.subtree_end };
         }
-        if bytes > state.budget {
-            self.keep_what_fits(state);
-        }
-    }
-
-    fn keep_what_fits(&mut self, state: &ClientState) {
-        let depth = |looked: &Looked| self.tiles[looked.tile as usize].depth;
-        self.looked_at.sort_unstable_by(|a, b| {
-            let by_level = a.branch.cmp(&b.branch).then(depth(a).cmp(&depth(b)));
-            by_level.then(a.distance.total_cmp(&b.distance)).then(a.tile.cmp(&b.tile))
-        });
-        let mut bytes = 0;
-        let fitting = self.looked_at.iter().take_while(|looked| {
-            let own = self.own(&self.tiles[looked.tile as usize]);
-            bytes += own.iter().map(|&r| state.tree.decoded_bytes(r)).sum::<u64>();
-            bytes <= state.budget
-        });
-        let fitting = fitting.count().max(1);
-        self.looked_at.truncate(fitting);
     }
 
     /// Requests streams of one branch; false if nothing more can be requested in this frame.

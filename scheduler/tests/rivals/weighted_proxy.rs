@@ -1,6 +1,6 @@
 use crate::session::{Dice, Session, cube, random_tree, rep, turned, two_levels, view_at};
 use core::f64::consts::PI;
-use foresight_scheduler::lod_tree::{LodTree, LodTreeBuilder, RepId, Representation};
+use foresight_scheduler::lod_tree::{LodTree, LodTreeBuilder, RepId};
 use foresight_scheduler::policy::weighted_proxy::{WeightedProxy, WeightedProxySettings};
 use proptest::prelude::*;
 
@@ -111,28 +111,6 @@ fn the_least_recently_used_makes_room_and_the_used_does_not() {
     assert!(s.resident(0));
     s.tick(&ahead);
     assert_eq!(s.actions, []);
-}
-
-#[test]
-fn memory_is_shared_level_after_level_and_nearest_first() {
-    // Two objects of two levels, 1 kB on the wire and 10 kB in memory each; memory for three.
-    let mut b = LodTreeBuilder::default();
-    b.open().unwrap();
-    for x in [-5.0, 5.0] {
-        b.open().unwrap();
-        for error in [5.0, 0.0] {
-            b.add(Representation { decoded_bytes: 10_000, ..rep(1, error) }).unwrap();
-        }
-        b.close(Some(cube([x, 0.0, -20.0], 1.0)), 1.0).unwrap();
-    }
-    b.close(None, 1.0).unwrap();
-    let tree = b.finish().unwrap();
-    let mut s = session(&tree, 35_000, 4, 1_000_000);
-    s.ticks(10, &view_at(-4.0, 0.0, 0.0));
-    assert_eq!([0, 1, 2, 3].map(|r| s.resident(r)), [true, true, true, false]);
-    // The other one is nearer now, and both are in view.
-    s.tick(&view_at(4.0, 0.0, 0.0));
-    assert_eq!((s.discarded(), s.fetched()), (vec![1], vec![3]));
 }
 
 #[test]
