@@ -126,7 +126,8 @@ impl CesiumNative {
             let last = selected[id as usize].last_visited();
             (last + 1 < frame).then_some((last, i64::from(id)))
         };
-        let only_preloaded = |id: u32| selected[id as usize].is_only_preloaded(frame).then_some((u32::MAX, i64::from(id)));
+        let only_preloaded =
+            |id: u32| selected[id as usize].is_only_preloaded(frame).then_some((u32::MAX, i64::from(id)));
         let mut slots = settings.max_loads.saturating_sub(tileset.pending().len());
         let mut blocked = None;
         for preloads in [false, true] {

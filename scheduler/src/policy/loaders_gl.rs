@@ -387,12 +387,7 @@ mod tests {
 
     #[test]
     fn what_lies_behind_is_not_central() {
-        let view = View {
-            position: DVec3::ZERO,
-            orientation: glam::DQuat::IDENTITY,
-            fov_y: 1.0,
-            viewport: [100, 100],
-        };
+        let view = View { position: DVec3::ZERO, orientation: glam::DQuat::IDENTITY, fov_y: 1.0, viewport: [100, 100] };
         let frustum = Frustum::new(&view);
         let factor = |to_centre: DVec3| {
             let sight = Sight { to_centre, half: DVec3::splat(1.0), distance: 1.0, side: Side::Outside };

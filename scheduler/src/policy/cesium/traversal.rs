@@ -187,7 +187,11 @@ impl Cesium {
         // The nearest is visited first: it is pushed last.
         children.sort_by(|&a, &b| {
             let (a, b) = (&self.visits[a as usize], &self.visits[b as usize]);
-            let depth = if a.distance == 0.0 { b.depth_in_view.total_cmp(&a.depth_in_view) } else { core::cmp::Ordering::Equal };
+            let depth = if a.distance == 0.0 {
+                b.depth_in_view.total_cmp(&a.depth_in_view)
+            } else {
+                core::cmp::Ordering::Equal
+            };
             b.distance.total_cmp(&a.distance).then(depth)
         });
         let has_content = !self.tileset.tile(id).is_empty();
@@ -280,8 +284,7 @@ mod tests {
 
     #[test]
     fn what_lies_straight_behind_is_central() {
-        let view =
-            View { position: DVec3::ZERO, orientation: glam::DQuat::IDENTITY, fov_y: 1.0, viewport: [100, 100] };
+        let view = View { position: DVec3::ZERO, orientation: glam::DQuat::IDENTITY, fov_y: 1.0, viewport: [100, 100] };
         let frustum = Frustum::new(&view);
         let factor = |to_centre: DVec3| {
             let sight = Sight { to_centre, half: DVec3::splat(1.0), distance: 1.0, side: Side::Outside };
