@@ -73,15 +73,18 @@ const OBJECTIVE_OPTIONS: &str = "alpha, predictor, discards, arrival, cover, hor
                                  samples, opening, falloff, tolerance, slack, turn-rate, speed or request-cost";
 
 impl PolicySpec {
-    /// Parses a list separated by commas, or `all`. `alpha` is the default of those that have one; `error_target_px`
+    /// Parses a list separated by commas, in which `all` stands for every name. `alpha` is the default of those that have one; `error_target_px`
     /// that of the rivals that have one, instead of what each ships with.
     pub fn parse_list(
         list: &str,
         alpha: f64,
         error_target_px: Option<f64>,
     ) -> Result<Vec<PolicySpec>, PolicySpecError> {
-        let list = if list == "all" { names().collect::<Vec<_>>().join(",") } else { list.to_owned() };
-        list.split(',').map(|spec| PolicySpec::parse(spec.trim(), alpha, error_target_px)).collect()
+        let specs = list.split(',').map(str::trim).flat_map(|spec| match spec {
+            "all" => names().collect(),
+            _ => vec![spec],
+        });
+        specs.map(|spec| PolicySpec::parse(spec, alpha, error_target_px)).collect()
     }
 
     fn parse(spec: &str, alpha: f64, error_target_px: Option<f64>) -> Result<PolicySpec, PolicySpecError> {

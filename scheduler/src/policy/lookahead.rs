@@ -18,9 +18,10 @@
 //! - The paper retains what was drawn before until new data comes, which covers for what is late, except at the
 //!   start, where nothing was drawn. There the coarsest representation of everything in the first view comes
 //!   first, nearest first; without it the screen would stay empty until the finest has come.
-//! - The paper's local cache has no limit. Here what is not in the union goes when room is needed, least recently in it
-//!   first. When that is not enough, the queue waits for what is on its way, and when nothing is, passes over what does
-//!   not fit until it is made anew.
+//! - The paper's local cache has no limit. Here the union ends, in the queue's order, where the memory budget does, so that
+//!   the farthest gives way to the nearest. What is not in it goes when room is needed, least recently in it first. When
+//!   that is not enough, the queue waits for what is on its way, and when nothing is, passes over what does not fit until
+//!   it is made anew.
 //! - Prerequisites belong to the set of whatever needs them and are requested before it.
 //! - A failed request is made again when the queue is made anew. So is the queue when field of view or viewport change.
 
@@ -336,9 +337,28 @@ impl Lookahead {
                 }
             }
         });
+        self.end_where_memory_ends(state);
     }
 
-    /// Puts `rep` into the union, and into the queue if it is not there.
+    /// Ends the union where the memory budget does, and the queue with it.
+    fn end_where_memory_ends(&mut self, state: &ClientState) {
+        let decoded = |entry: &Entry| state.tree.decoded_bytes(entry.rep);
+        let entries = &mut self.queue.entries;
+        if entries.iter().map(decoded).sum::<u64>() > state.budget {
+            entries.sort_unstable_by(in_order);
+            let mut bytes = 0;
+            let fitting = entries.iter().take_while(|entry| {
+                bytes += decoded(entry);
+                bytes <= state.budget
+            });
+            for beyond in entries.drain(fitting.count().max(1)..) {
+                self.last_in_union[beyond.rep.index()] = self.update - 1;
+            }
+        }
+        entries.retain(|entry| state.status(entry.rep) == Status::Absent);
+    }
+
+    /// Puts `rep` into the union, with what it needs first.
     fn require(&mut self, state: &ClientState, eye: DVec3, node: NodeId, rep: RepId) {
         let tree = state.tree;
         if self.last_in_union[rep.index()] == self.update {
@@ -347,10 +367,8 @@ impl Lookahead {
         let mut needed = Some(rep);
         while let Some(r) = needed.filter(|r| self.last_in_union[r.index()] != self.update) {
             self.last_in_union[r.index()] = self.update;
-            if state.status(r) == Status::Absent {
-                let distance = distance_to(tree, node, eye);
-                self.queue.entries.push(Entry { distance, level: self.level[node.index()], rep: r });
-            }
+            let distance = distance_to(tree, node, eye);
+            self.queue.entries.push(Entry { distance, level: self.level[node.index()], rep: r });
             needed = tree.prerequisite(r);
         }
     }

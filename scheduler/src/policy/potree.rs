@@ -47,10 +47,12 @@ use std::collections::BinaryHeap;
 pub const RIVAL: Rival = Rival {
     name: "potree",
     about: "nodes by projected size within a point budget, first unloaded first, least recently used subtrees go",
-    error_target_px: None,
+    // The least size of a node stands for a target: both end the detail.
+    error_target_px: Some(30.0),
     parallel: 4,
     build: |tree, settings| {
-        Box::new(Potree::new(tree, PotreeSettings { max_nodes_loading: settings.parallel, ..Default::default() }))
+        let (min_node_px, max_nodes_loading) = (settings.error_target_px, settings.parallel);
+        Box::new(Potree::new(tree, PotreeSettings { max_nodes_loading, min_node_px, ..Default::default() }))
     },
 };
 

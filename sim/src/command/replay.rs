@@ -17,7 +17,7 @@ use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
 
 /// Error targets tried for the best in hindsight, pixels.
-const HINDSIGHT_TARGETS_PX: [f64; 5] = [1.0, 2.0, 4.0, 8.0, 16.0];
+const HINDSIGHT_TARGETS_PX: [f64; 7] = [1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0];
 /// Memory without `--memory`: what puts the built-in flight under some pressure, and otherwise what viewers use.
 const BUILT_IN_MEMORY: u64 = 16 << 20;
 const MEMORY: u64 = 256 << 20;
@@ -56,8 +56,8 @@ pub(crate) struct ReplayArgs {
     /// Trust in the prediction, 0 to 1
     #[arg(long, default_value_t = 0.7, value_parser = trust, allow_hyphen_values = true)]
     alpha: f64,
-    /// Pixels of error that the rivals aim at, instead of what each ships with; best adds each at its best of 1, 2, 4, 8
-    /// and 16 px in hindsight
+    /// Pixels of error that the rivals aim at, instead of what each ships with; best adds each at its best of 1, 2, 4 …
+    /// 64 px in hindsight
     #[arg(long, value_name = "PX|best")]
     error_target: Option<String>,
     /// When children count: partial (drawn beside their parent) or atomic (all or none)

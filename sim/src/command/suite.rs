@@ -34,7 +34,7 @@ pub(crate) struct SuiteArgs {
     /// Replay at most this many seconds of each path
     #[arg(long, value_name = "SECONDS")]
     at_most: Option<f64>,
-    /// Pixels of error that the rivals aim at; best adds each at its best of 1, 2, 4, 8 and 16 px in hindsight
+    /// Pixels of error that the rivals aim at; best adds each at its best of 1, 2, 4 … 64 px in hindsight
     #[arg(long, value_name = "PX|best")]
     error_target: Option<String>,
     /// Folder of recorded worlds, paths and links
@@ -57,6 +57,9 @@ pub(crate) struct SuiteArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
     threads: Option<u32>,
 }
+
+/// Policies of a replay that does not say which: all, and 3d-tiles-renderer once more over HTTP/1.1, which suits it better.
+const POLICIES: &str = "all,3d-tiles-renderer:parallel=6";
 
 /// A replay's options on their own.
 #[derive(Debug, Parser)]
@@ -172,8 +175,10 @@ fn completed(mut command: Vec<String>, args: &SuiteArgs) -> Vec<String> {
     set("--starts", args.starts.map(|n| n.to_string()));
     set("--error-target", args.error_target.clone());
     set("--at-most", args.at_most.map(|s| s.to_string()));
-    if !command.iter().any(|word| word == "--starts") {
-        command.extend(["--starts".to_owned(), STARTS.to_string()]);
+    for (option, value) in [("--policy", POLICIES.to_owned()), ("--starts", STARTS.to_string())] {
+        if !command.iter().any(|word| word == option) {
+            command.extend([option.to_owned(), value]);
+        }
     }
     command
 }

@@ -10,7 +10,7 @@ use super::number::{NEVER, duration, fixed, mebibytes, megabytes, optional, prin
 use super::plot::{Axis, BOUND_CLASS, frame, legend, lines, percent, series_class, stroke_class, swatch, toggle_rules};
 use crate::outcome::Comparison;
 use crate::policies::knows_the_future;
-use crate::suite::{CaseOutcome, Due, ReplayOutcome, Standing, SuiteOutcome, Verdict};
+use crate::suite::{CaseOutcome, Due, ReplayOutcome, Standing, SuiteOutcome, TIE, Verdict};
 
 /// Most points of a curve over time.
 const CURVE_POINTS: usize = 500;
@@ -119,13 +119,12 @@ fn sentence(standing: &Standing) -> String {
 }
 
 fn due(case: &CaseOutcome) -> String {
-    if case.is_as_due() {
-        return format!("{}: all policies are level, as is due", case.name);
+    let off: Vec<String> =
+        case.not_as_due().map(|s| format!("{} ({:+.4})", printable(&s.rival, 40), s.difference)).collect();
+    if off.is_empty() {
+        return format!("{}: all mean deficits are within {TIE} of each other, as is due", case.name);
     }
-    let off: Vec<String> = (case.standings.iter().filter(|s| s.verdict != Verdict::Tie))
-        .map(|s| format!("{} {}", printable(&s.rival, 40), fixed(s.relative_deficit, 2)))
-        .collect();
-    format!("{}: A TIE IS DUE, BUT foresight is not level with {}", case.name, off.join(", "))
+    format!("{}: A TIE IS DUE, BUT foresight's mean deficit differs from that of {}", case.name, off.join(", "))
 }
 
 fn cost(outcome: &SuiteOutcome) -> String {

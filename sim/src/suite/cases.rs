@@ -50,7 +50,7 @@ pub const CASES: &[Case] = &[
         due: Due::Open,
         replays: &[
             "--world terrain:size=240km,resolution=20m,texels=2048 --path {data}/paths/aircraft_dreamliner_airfrance.json.gz --icao24 3900fb --look other=39c424 \
-             --place centre,height=3000 --from 3000 --duration 300 --link {data}/network/starlink_leocc_first60s.down,scale=0.005 --memory mu:0.5 --starts 3",
+             --place centre,height=3000 --from 3000 --duration 300 --link {data}/network/starlink_leocc_first60s.down,scale=0.05 --memory mu:0.5 --starts 3",
         ],
     },
     Case {
@@ -111,9 +111,9 @@ pub const CASES: &[Case] = &[
         shows: "What an announced path is worth against the same policy that has to guess, the second row.",
         due: Due::Open,
         replays: &[
-            "--path teleport --announce 10 --link constant:4Mbit,40ms --memory mu:1 --starts 1 --policy foresight:predictor=known-path,all",
+            "--path teleport --announce 10 --link constant:4Mbit,40ms --memory mu:1 --starts 1 --policy foresight:predictor=known-path,all,3d-tiles-renderer:parallel=6",
             "--world city:blocks=60 --path {data}/paths/drive_comma2k19_highway --announce 10 --link {data}/network/norway3g_car_10.txt \
-             --memory mu:0.5 --starts 3 --policy foresight:predictor=known-path,all",
+             --memory mu:0.5 --starts 3 --policy foresight:predictor=known-path,all,3d-tiles-renderer:parallel=6",
         ],
     },
     Case {
@@ -157,11 +157,11 @@ pub const CASES: &[Case] = &[
     Case {
         name: "null",
         why: "A real helicopter over a real city model of 49 buildings, both where they really are.",
-        shows: "Nothing: the model is complete within a moment, so all policies must be level. If they are not, the comparison is wrong.",
+        shows: "Nothing: the model is complete within a moment, so that all policies must be level once the rivals aim at 1 px. If they are not, the comparison is wrong.",
         due: Due::Tie,
         replays: &[
             "--world {data}/scenes/zurich_subset_lod2.city.json --path {data}/paths/aircraft_rega_zh.json.gz --place geo \
-             --link {data}/network/mahimahi_ATT-LTE-driving.down --memory mu:4 --starts 3",
+             --link {data}/network/mahimahi_ATT-LTE-driving.down --memory 64MiB --error-target 1 --starts 3",
         ],
     },
     Case {

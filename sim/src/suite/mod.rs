@@ -16,6 +16,9 @@ pub use standing::{Standing, Verdict, standings};
 /// Version of the JSON document. Raised when a field changes its meaning or goes away.
 pub const SCHEMA_VERSION: u32 = 1;
 
+/// Mean deficits nearer than this are level where a tie is due: start-up takes the policies fractions of a second each.
+pub const TIE: f64 = 5e-3;
+
 /// Stands for the folder of recorded worlds, paths and links in a case's replays.
 const DATA: &str = "{data}";
 
@@ -40,7 +43,7 @@ pub struct Case {
 pub enum Due {
     /// Whatever comes out.
     Open,
-    /// No policy ahead of another: the link or the world leaves nothing to decide.
+    /// All mean deficits within [`TIE`] of that of `foresight`: the link or the world leaves nothing to decide.
     Tie,
 }
 
@@ -122,8 +125,9 @@ impl CaseOutcome {
         CaseOutcome { name: case.name, why: case.why, shows: case.shows, due: case.due, standings, replays }
     }
 
-    /// Whether what is due came out: where a tie is due, that every standing is one.
-    pub fn is_as_due(&self) -> bool {
-        self.due == Due::Open || self.standings.iter().all(|s| s.verdict == Verdict::Tie)
+    /// The rivals with which `foresight` is not level although a tie is due.
+    pub fn not_as_due(&self) -> impl Iterator<Item = &Standing> {
+        let due = self.due == Due::Tie;
+        self.standings.iter().filter(move |s| due && s.difference.abs() > TIE)
     }
 }

@@ -33,6 +33,8 @@ pub struct Standing {
     pub interval: Option<Interval>,
     /// Values that it is the mean of: starts of a case's replays, or cases.
     pub values: usize,
+    /// Mean of d − d_rival over the same values; over the suite, over the cases.
+    pub difference: f64,
     /// Who is ahead.
     pub verdict: Verdict,
     /// Cases in which `foresight` is ahead, level and behind; of a case, its own verdict counted once.
@@ -73,7 +75,7 @@ pub(super) fn of_case(replays: &[&Comparison]) -> Vec<Standing> {
         let starts = replays.iter().map(Vec::len).min().unwrap_or(0);
         let by_start = |s: usize| replays.iter().map(|values| values[s][0]).sum::<f64>() / replays.len() as f64;
         let logarithms: Vec<f64> = (0..starts).map(by_start).collect();
-        Standing::new(rival, &logarithms, difference.abs() < DEFICIT_FLOOR).counted_once()
+        Standing::new(rival, &logarithms, difference).counted_once()
     };
     found.into_iter().map(standing).collect()
 }
@@ -91,19 +93,20 @@ pub fn standings(cases: &[CaseOutcome]) -> Vec<Standing> {
         let logarithms: Vec<f64> = list.iter().map(|s| libm::log(s.relative_deficit)).collect();
         let count = |verdict| list.iter().filter(|s| s.verdict == verdict).count();
         let (ahead, level, behind) = (count(Verdict::Ahead), count(Verdict::Tie), count(Verdict::Behind));
-        Standing { ahead, level, behind, ..Standing::new(rival, &logarithms, false) }
+        let difference = list.iter().map(|s| s.difference).sum::<f64>() / list.len() as f64;
+        Standing { ahead, level, behind, ..Standing::new(rival, &logarithms, difference) }
     };
     by_rival.into_iter().map(overall).collect()
 }
 
 impl Standing {
-    fn new(rival: &str, logarithms: &[f64], is_level: bool) -> Standing {
+    fn new(rival: &str, logarithms: &[f64], difference: f64) -> Standing {
         let mean = logarithms.iter().sum::<f64>() / logarithms.len().max(1) as f64;
         let spread = interval(&logarithms.iter().copied().map(Some).collect::<Vec<_>>());
         let apart = spread.map_or(mean != 0.0, |i| i.lower > 0.0 || i.upper < 0.0);
         let relative_deficit = libm::exp(mean);
         let verdict = match relative_deficit {
-            _ if is_level || !apart => Verdict::Tie,
+            _ if difference.abs() < DEFICIT_FLOOR || !apart => Verdict::Tie,
             r if r < 1.0 - LEVEL => Verdict::Ahead,
             r if r > 1.0 + LEVEL => Verdict::Behind,
             _ => Verdict::Tie,
@@ -113,6 +116,7 @@ impl Standing {
             relative_deficit,
             interval: spread.map(|i| Interval { lower: libm::exp(i.lower), upper: libm::exp(i.upper) }),
             values: logarithms.len(),
+            difference,
             verdict,
             ahead: 0,
             level: 0,

@@ -36,7 +36,7 @@ fn a_spread_around_one_is_a_tie() {
     let outcome = case(Due::Tie, vec![comparison(&[("foresight", &[0.1, 0.2]), ("other", &[0.2, 0.1])])]);
     assert_eq!(outcome.standings[0].verdict, Verdict::Tie);
     assert!((outcome.standings[0].relative_deficit - 1.0).abs() < 1e-12);
-    assert!(outcome.is_as_due());
+    assert_eq!(outcome.not_as_due().count(), 0);
 }
 
 #[test]
@@ -45,7 +45,8 @@ fn differences_of_nothing_are_ties_and_the_floor_counts() {
     assert_eq!((tiny.standings[0].verdict, tiny.standings[0].relative_deficit), (Verdict::Tie, 1.0));
     let behind = case(Due::Tie, vec![comparison(&[("foresight", &[0.04, 0.04]), ("other", &[0.02, 0.02])])]);
     assert_eq!(behind.standings[0].verdict, Verdict::Behind);
-    assert!(!behind.is_as_due());
+    assert_eq!(behind.not_as_due().count(), 1);
+    assert!((behind.standings[0].difference - 0.02).abs() < 1e-12);
 }
 
 #[test]
