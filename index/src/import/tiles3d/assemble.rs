@@ -80,6 +80,7 @@ pub(crate) fn assemble(folder: &Folder, name: &str, walked: Walked) -> Result<(W
     let middle = leaves.iter().fold(Aabb::EMPTY, |sum, &leaf| sum.union(scene.bounds(leaf))).centre();
     let facing = scene.facing(&leaves);
     let (up, is_earth) = orientation(middle, has_region, facing, name, &mut notes);
+    notes.extend(scene.loose_boxes(&leaves, up, name));
     let (tree, uris) =
         scene.build(&shows, uris, name, &mut notes).map_err(|source| Tiles3dError::Tree { file: root_file, source })?;
     let heights = leaves.iter().map(|&leaf| scene.height(leaf, up));
@@ -225,6 +226,9 @@ fn faces(facing: DVec3, axis: DVec3, other: DVec3) -> bool {
     facing.dot(axis) > 0.5 && facing.dot(other).abs() < 0.5 * facing.dot(axis)
 }
 
+/// Declared boxes are loose if they are so many times as high as what they hold.
+const LOOSE: f64 = 3.0;
+
 /// The vertical, and whether the world is Earth-centred. What is bounded by regions or lies an Earth's radius away is,
 /// unless its surfaces face z and not away from the Earth (a projected system with large northings). Elsewhere z is up,
 /// as 3D Tiles says, unless surfaces face another axis.
@@ -302,6 +306,27 @@ impl Scene<'_> {
             }
             None => given.declared,
         }
+    }
+
+    /// What to say where declared boxes are much higher than what the leaves show, by their medians.
+    fn loose_boxes(&self, leaves: &[u32], up: DVec3, name: &str) -> Option<Note> {
+        let placed = || leaves.iter().filter_map(|&leaf| Some((self.placed(leaf)?, &self.nodes[leaf as usize])));
+        let median = |mut heights: Vec<f64>| {
+            let middle = heights.len() / 2;
+            (!heights.is_empty()).then(|| *heights.select_nth_unstable_by(middle, f64::total_cmp).1)
+        };
+        let height = |bounds: Aabb| (bounds.max - bounds.min).dot(up.abs());
+        let declared = median(placed().map(|(_, node)| height(node.declared)).collect())?;
+        let shown = median(placed().map(|(placed, _)| height(placed.bounds)).collect())?;
+        (declared > LOOSE * shown).then(|| Note {
+            severity: Severity::Trap,
+            file: name.to_owned(),
+            place: String::new(),
+            text: format!(
+                "declared boxes are {declared:.0} m high around contents of {shown:.1} m (medians over the leaves): bounds are \
+                 taken from the contents"
+            ),
+        })
     }
 
     /// Mean height of a leaf's vertices; without vertices, that of the bottom of its bounds. Metres along up.

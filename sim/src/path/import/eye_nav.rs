@@ -59,7 +59,7 @@ pub(super) fn read(name: &str, mut lines: TextLines<'_>, options: &Options) -> R
             return Err(recording.line_error(header_line, format!("a header without {missing}; expected that column")));
         }
     };
-    let mut fov = None;
+    let (mut fov, mut other_views) = (None, 0usize);
     for (number, line) in lines {
         let fields: Vec<&str> = line.split(',').map(str::trim).collect();
         let value = |column: usize| {
@@ -71,6 +71,7 @@ pub(super) fn read(name: &str, mut lines: TextLines<'_>, options: &Options) -> R
                 .map_err(|_| recording.line_error(number, format!("column {} is no number; expected one", column + 1)))
         };
         if value(columns.view)? != 0.0 {
+            other_views += 1;
             continue;
         }
         let seconds = value(columns.milliseconds)? * 1e-3;
@@ -83,7 +84,14 @@ pub(super) fn read(name: &str, mut lines: TextLines<'_>, options: &Options) -> R
         }
         recording.push(number, seconds, numbers)?;
     }
-    let notes = Vec::from_iter(fov.and_then(fov_note));
+    let mut notes = vec![
+        "mind: positions are in units of the scene, metres times an initial scale that the file does not state"
+            .to_owned(),
+    ];
+    if other_views > 0 {
+        notes.push(format!("{other_views} rows of another eye left out: ViewIndex 0 is taken"));
+    }
+    notes.extend(fov.and_then(fov_note));
     let axes = CameraAxes { forward: Axis::MINUS_Z, up: Axis::Y };
     recording.finish(Convention { order: QuatOrder::Xyzw, axes, up: Axis::Y }, notes, options)
 }
