@@ -312,6 +312,6 @@ pub(crate) fn execute(args: &ReplayArgs, progress: &(dyn Fn(usize, usize) + Sync
 }
 
 /// Columns of the terminal, by COLUMNS; 120 where nothing says.
-fn terminal_width() -> usize {
+pub(crate) fn terminal_width() -> usize {
     std::env::var("COLUMNS").ok().and_then(|c| c.parse().ok()).filter(|c| (40..=1000).contains(c)).unwrap_or(120)
 }

@@ -130,7 +130,7 @@ pub(crate) fn run(args: &SuiteArgs) -> anyhow::Result<()> {
         serde_json::to_writer(&mut out, &outcome)?;
         writeln!(out)?;
     } else {
-        write!(out, "{}", report::suite_text(&outcome))?;
+        write!(out, "{}", report::suite_text(&outcome, replay::terminal_width()))?;
     }
     if let Some(dir) = &args.report {
         let page = report::write_suite(&outcome, dir)?;

@@ -17,30 +17,22 @@ const CURVE_POINTS: usize = 500;
 /// Columns of [`METRICS`] that a case shows: mean Q, deficit, relative deficit, 5th percentile.
 const SHOWN: usize = 4;
 
-/// The suite as plain text: cases down, rivals across, the relative deficit of `foresight` in the cells.
-pub fn suite_text(outcome: &SuiteOutcome) -> String {
-    let rivals = rivals(outcome);
+/// The suite as plain text: cases down, rivals across, the relative deficit of `foresight` in the cells. Where `width`
+/// characters do not hold all rivals they go on in a further table beneath.
+pub fn suite_text(outcome: &SuiteOutcome, width: usize) -> String {
     let mut text = String::new();
-    let mut rows = vec![
-        [
-            vec!["case".to_owned(), "ρ".to_owned(), "deficit".to_owned()],
-            rivals.iter().map(|r| printable(r, 24)).collect(),
-        ]
-        .concat(),
-    ];
-    for case in &outcome.cases {
-        let own: Vec<f64> = case.replays.iter().filter_map(|r| own_deficit(&r.comparison)).collect();
-        let mean = (!own.is_empty()).then(|| own.iter().sum::<f64>() / own.len() as f64);
-        let cells = rivals.iter().map(|r| standing_of(&case.standings, r).map_or_else(|| NEVER.to_owned(), cell));
-        rows.push([vec![case.name.to_owned(), pressures(case), optional(mean, 4)], cells.collect()].concat());
+    let mut rest = &rivals(outcome)[..];
+    let mut first = true;
+    while first || !rest.is_empty() {
+        let fits =
+            |count: &usize| arranged(&rows(outcome, &rest[..*count])).lines().all(|l| l.chars().count() <= width);
+        let count = (1..=rest.len()).take_while(fits).last().unwrap_or(rest.len().min(1));
+        text.push_str(&arranged(&rows(outcome, &rest[..count])));
+        text.push_str("\n\n");
+        rest = &rest[count..];
+        first = false;
     }
-    let overall = rivals.iter().map(|r| {
-        standing_of(&outcome.standings, r)
-            .map_or_else(|| NEVER.to_owned(), |s| format!("{} ×", fixed(s.relative_deficit, 2)))
-    });
-    rows.push([vec!["all cases".to_owned(), String::new(), String::new()], overall.collect()].concat());
-    text.push_str(&arranged(&rows));
-    text.push_str("\n\nDeficit of foresight ÷ deficit of the column: below 1 is better; = is level.\n");
+    text.push_str("Deficit of foresight ÷ deficit of the column: below 1 is better; = is level.\n");
     for standing in &outcome.standings {
         text.push_str(&format!("{}\n", sentence(standing)));
     }
@@ -52,6 +44,21 @@ pub fn suite_text(outcome: &SuiteOutcome) -> String {
     }
     text.push_str(&cost(outcome));
     text
+}
+
+/// The rows of a table with these rivals, heading first and all cases last.
+fn rows(outcome: &SuiteOutcome, rivals: &[&str]) -> Vec<Vec<String>> {
+    let heading = ["case", "ρ", "deficit"].map(str::to_owned).to_vec();
+    let mut rows = vec![[heading, rivals.iter().map(|r| printable(r, 40)).collect()].concat()];
+    for case in &outcome.cases {
+        let own: Vec<f64> = case.replays.iter().filter_map(|r| own_deficit(&r.comparison)).collect();
+        let mean = (!own.is_empty()).then(|| own.iter().sum::<f64>() / own.len() as f64);
+        let cells = rivals.iter().map(|r| standing_of(&case.standings, r).map_or_else(|| NEVER.to_owned(), cell));
+        rows.push([vec![case.name.to_owned(), pressures(case), optional(mean, 4)], cells.collect()].concat());
+    }
+    let overall = rivals.iter().map(|r| optional(standing_of(&outcome.standings, r).map(|s| s.relative_deficit), 2));
+    rows.push([vec!["all cases".to_owned(), String::new(), String::new()], overall.collect()].concat());
+    rows
 }
 
 fn arranged(rows: &[Vec<String>]) -> String {
