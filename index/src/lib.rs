@@ -3,7 +3,7 @@
 //! [`world::open`] takes whatever is recognised; [`world::World`] is what everything else works on. The crate decides
 //! nothing about what to fetch and knows no clock.
 
-#[cfg(feature = "cityjson")]
+#[cfg(any(feature = "cityjson", feature = "terrain", feature = "asteroids"))]
 pub mod format;
 pub mod generate;
 pub mod geodesy;

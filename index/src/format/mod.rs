@@ -1,4 +1,3 @@
 //! Bytes of the formats that a world is served in.
 
-#[cfg(feature = "cityjson")]
 pub mod glb;

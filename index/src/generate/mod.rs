@@ -6,8 +6,6 @@ pub mod asteroids;
 pub mod city;
 #[cfg(feature = "generated")]
 pub mod document;
-#[cfg(any(feature = "asteroids", feature = "terrain"))]
-mod glb;
 #[cfg(feature = "tiles3d")]
 pub mod mosaic;
 #[cfg(any(feature = "asteroids", feature = "terrain"))]

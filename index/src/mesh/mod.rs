@@ -70,7 +70,8 @@ impl Mesh {
         if self.triangles.is_empty() {
             return None;
         }
-        let wire = glb::encode(self.origin, &self.positions, &self.triangles).len();
+        let (positions, triangles) = (&self.positions[..], &self.triangles[..]);
+        let wire = glb::encode(&glb::Mesh { origin: Some(self.origin), positions, normals: &[], triangles }).len();
         let decoded = glb::decoded_bytes(self.positions.len(), self.triangles.len());
         Some((u32::try_from(wire).ok()?, u32::try_from(decoded).ok()?))
     }

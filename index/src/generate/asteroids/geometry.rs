@@ -9,10 +9,10 @@ use rayon::prelude::*;
 use serde_json::{Value, json};
 
 use super::super::document::{GenerateError, Params};
-use super::super::glb::glb;
 use super::super::tileset::{self, Written, volume};
 use super::shape::{self, Mesh};
 use super::{AsteroidParams, CELL_MODELS, CLUSTERS, Cell, Kind, MAX_DEPTH, Model, merged, merged_segments, segments};
+use crate::format::glb::{self, narrowed};
 
 /// Most tiles that are written: enough for the scene of the paper.
 pub const MAX_WRITTEN_TILES: u64 = 200_000;
@@ -44,7 +44,9 @@ pub fn write(
             Part::Shape(seed, n) => shape::mesh(*seed, *n),
             Part::Merged(models) => tiles.merge(models),
         };
-        (file.clone(), glb(&mesh.positions, &mesh.normals, &mesh.triangles))
+        let (positions, normals) = (narrowed(&mesh.positions), narrowed(&mesh.normals));
+        let mesh = glb::Mesh { origin: None, positions: &positions, normals: &normals, triangles: &mesh.triangles };
+        (file.clone(), glb::encode(&mesh))
     };
     tileset::write(out, &tiles.parts, content, (2.0 * error, root), tiles.count, progress)
 }

@@ -9,9 +9,9 @@ use rayon::prelude::*;
 use serde_json::{Value, json};
 
 use super::super::document::{GenerateError, Params};
-use super::super::glb::glb;
 use super::super::tileset::{self, Written, volume};
 use super::TerrainParams;
+use crate::format::glb::{self, narrowed};
 use crate::terrain::{Frame, HeightField, Level, TILE_CELLS, TerrainError, measure};
 
 /// Most tiles that are written.
@@ -129,5 +129,6 @@ fn mesh(params: &TerrainParams, field: &HeightField, levels: &[Level], part: &Pa
             triangles.extend([[pair[0], foot(step), pair[1]], [pair[1], foot(step), foot(step + 1)]]);
         }
     }
-    glb(&positions, &normals, &triangles)
+    let (positions, normals) = (narrowed(&positions), narrowed(&normals));
+    glb::encode(&glb::Mesh { origin: None, positions: &positions, normals: &normals, triangles: &triangles })
 }
