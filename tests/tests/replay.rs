@@ -14,10 +14,11 @@ const DOCUMENT: [&str; 7] =
     ["schema_version", "inputs", "pressure", "nonempty_share", "upper_bound", "policies", "warnings"];
 
 /// Fields of a policy's figures.
-const POLICY: [&str; 14] = [
+const POLICY: [&str; 15] = [
     "name",
     "mean_quality",
     "mean_deficit",
+    "mean_deficit_by_start",
     "p05_quality",
     "seconds_below_0_9",
     "seconds_to_0_9",

@@ -6,7 +6,7 @@
 //! 1. *Adjust* the target: while less than the cache's size is loaded, ÷ 1.02 down to 16 px; else, while memory is short,
 //!    × 1.02.
 //! 2. *Traverse* from the root what is visible. Error on screen = geometricError · H / (distance · 2 tan(fovy/2)), less
-//!    the relief of [`Fog`](super::tileset::fog), 0 for a geometric error of 0; distance to the bounding box, at least
+//!    the relief of `tileset::fog`, 0 for a geometric error of 0; distance to the bounding box, at least
 //!    10⁻⁷ m. A tile whose error is above the target is refined: its visible children are visited, nearest first, and if
 //!    it has content the others are loaded too, because it is not replaced before all are there; beneath an empty child,
 //!    the nearest tiles with content. A tile is visible if its box is in the frustum and, where the children's boxes lie
@@ -29,7 +29,7 @@
 //!
 //! A tile that failed is not asked for again.
 //!
-//! Settled here, beside what [`Tileset`] says:
+//! Settled here, beside what `tileset` says:
 //! - P has two more terms: 10⁹ for deferred tiles, which replacement without skipped levels never has
 //!   (`foveatedTimeDelay` has no effect), and 10¹⁰ for all but a flight's destination: no flight is announced.
 //! - A tileset comes from one server, so that of its limits of 50 in all and 18 per server the lower one binds.

@@ -25,7 +25,7 @@
 //!
 //! A tile that failed counts as loaded and is not asked for again.
 //!
-//! Settled here, beside what [`Tileset`] says:
+//! Settled here, beside what `tileset` says:
 //! - Empty tiles are refined unconditionally (shipped: those whose error is not below their parent's, and external
 //!   tilesets). One without children counts as loaded.
 //! - 512 MiB bound what is cached unused, and nothing bounds what is used. Here the budget bounds both. What is used only

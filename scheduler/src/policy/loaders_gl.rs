@@ -4,7 +4,7 @@
 //!
 //! Once per frame:
 //! 1. *Traverse* from the root, in view or not. Error on screen = geometricError · H / (distance · 1.15), less the relief
-//!    of [`Fog`], 0 for a geometric error of 0; distance to the bounding box, at least 10⁻⁷ m. 1.15 stands for
+//!    of `tileset::fog`, 0 for a geometric error of 0; distance to the bounding box, at least 10⁻⁷ m. 1.15 stands for
 //!    2 tan(fovy/2) whatever the field of view is. A tile whose error is above the target is refined: its children are
 //!    taken farthest first, and those in the frustum are visited, nearest first. If the tile has content, those that are
 //!    not are loaded too, and beneath an empty child the nearest tiles with content; and as shipped *the first child that
@@ -25,7 +25,7 @@
 //!
 //! A tile that failed is not asked for again, and so ends its parent's children as in 1 for ever.
 //!
-//! Settled here, beside what [`Tileset`] says:
+//! Settled here, beside what `tileset` says:
 //! - Deferral (`foveatedTimeDelay`) has no effect: replacement without skipped levels is never deferred.
 //! - The traversal runs in every frame (shipped: when the view has changed or a tile was loaded).
 //! - Cache : overflow = 512 MiB : 512 MiB; together they are the budget. Memory is short where the next request would

@@ -354,6 +354,14 @@ impl Lookahead {
             for beyond in entries.drain(fitting.count().max(1)..) {
                 self.last_in_union[beyond.rep.index()] = self.update - 1;
             }
+            // What is kept keeps what it needs, though that was first required from farther away.
+            for entry in entries.iter() {
+                let mut needed = state.tree.prerequisite(entry.rep);
+                while let Some(prerequisite) = needed {
+                    self.last_in_union[prerequisite.index()] = self.update;
+                    needed = state.tree.prerequisite(prerequisite);
+                }
+            }
         }
         entries.retain(|entry| state.status(entry.rep) == Status::Absent);
     }
