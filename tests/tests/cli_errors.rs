@@ -34,6 +34,9 @@ fn refused(folder: &Path, arguments: &[&str], named: &[&str]) {
     assert!(!message.contains("panicked at"), "{context}");
     assert!(!message.trim().is_empty(), "no message\n{context}");
     assert!(message.matches("error:").count() <= 1, "more than one message\n{context}");
+    let text = message.trim_end();
+    let ending = &text[text.char_indices().rev().nth(30).map_or(0, |(at, _)| at)..];
+    assert_eq!(text.matches(ending).count(), 1, "said more than once\n{context}");
     for name in named {
         assert!(message.contains(name), "the message does not name '{name}'\n{context}");
     }
@@ -166,6 +169,13 @@ fn infinity_in_a_transform() {
     let infinite = tileset.replacen(r#""root": {"#, transform, 1);
     assert_ne!(infinite, tileset);
     refused_file("--world", "infinite.json", infinite, &["infinite.json"]);
+}
+
+#[test]
+fn a_city_model_with_a_fault() {
+    let folder = good();
+    input::write(folder.path(), "model.city.json", r#"{"type": "CityJSON", "version": "9"}"#);
+    refused_in(folder.path(), "--world", "model.city.json", &["model.city.json", "$.version", "\"9\""]);
 }
 
 #[test]
