@@ -255,8 +255,9 @@ fn keep_best_targets(outcomes: &mut Vec<(PolicyOutcome, usize)>, policies: &[Pol
         if !spec.has_target() {
             continue;
         }
-        let name = |p: usize| policies[p].label.split(':').next() == spec.label.split(':').next();
-        let best = variants.iter().filter(|(_, p)| name(*p)).min_by(|a, b| deficit(&a.0).total_cmp(&deficit(&b.0)));
+        let is_variant = |p: usize| policies[p].label.rsplit_once(":target=").is_some_and(|(of, _)| of == spec.label);
+        let best =
+            variants.iter().filter(|(_, p)| is_variant(*p)).min_by(|a, b| deficit(&a.0).total_cmp(&deficit(&b.0)));
         if let Some((best, p)) = best {
             let mut best = best.clone();
             best.name = format!("{} (best)", best.name);

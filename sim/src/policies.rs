@@ -180,7 +180,7 @@ impl PolicySpec {
 
     /// The same policy aiming at another error.
     pub fn with_target(&self, px: f64) -> PolicySpec {
-        PolicySpec { error_target_px: px, label: format!("{}:target={px}", self.name), ..self.clone() }
+        PolicySpec { error_target_px: px, label: format!("{}:target={px}", self.label), ..self.clone() }
     }
 
     /// Whether it aims at an error on the screen.
