@@ -215,7 +215,8 @@ pub(crate) fn run(args: ReplayArgs) -> anyhow::Result<()> {
         writeln!(out, "{}", report::table(&comparison, width))?;
     }
     if let Some(dir) = &args.report {
-        let command = std::env::args().collect::<Vec<_>>().join(" ");
+        let words: Vec<_> = std::env::args_os().map(|word| word.to_string_lossy().into_owned()).collect();
+        let command = words.join(" ");
         let file = report::write_with_command(&comparison, dir, &command)?;
         if !args.json {
             writeln!(out, "report: {}", file.display())?;
