@@ -54,6 +54,7 @@
 //! ```
 
 pub mod benefit;
+pub mod estimate;
 pub mod lod_tree;
 pub mod policy;
 pub mod predict;
