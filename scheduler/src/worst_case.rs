@@ -7,6 +7,7 @@
 use crate::benefit::cut::{Cut, CutSettings, Region};
 use crate::lod_tree::LodTree;
 use crate::predict::motion::Speeds;
+use crate::setting::{SettingError, within};
 use crate::view::View;
 
 /// How far the client could get, whatever its recent motion says.
@@ -30,6 +31,19 @@ impl Default for Reach {
 }
 
 impl Reach {
+    /// Refuses speeds and distances that nobody could have, naming the field.
+    pub fn check(&self) -> Result<(), SettingError> {
+        const SPEED: (f64, f64) = (0.0, f64::MAX);
+        within("reach.linear_max", self.linear_max, SPEED, "a finite speed, m/s, not negative")?;
+        within("reach.angular_max", self.angular_max, SPEED, "a finite rate, rad/s, not negative")?;
+        within("reach.stand_off", self.stand_off, (0.0, 1e30), "metres from 0 to 1e30")?;
+        if let Some(speeds) = self.declared {
+            within("reach.declared.linear", speeds.linear, SPEED, "a finite speed, m/s, not negative")?;
+            within("reach.declared.angular", speeds.angular, SPEED, "a finite rate, rad/s, not negative")?;
+        }
+        Ok(())
+    }
+
     /// Everything reachable from a view within `epsilon` seconds at `speeds`, or those declared, capped.
     pub fn region(&self, speeds: Speeds, epsilon: f64) -> Region {
         let speeds = self.declared.unwrap_or(speeds);

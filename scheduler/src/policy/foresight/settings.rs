@@ -2,6 +2,7 @@
 
 use crate::benefit::cut::CutSettings;
 use crate::predict::PredictorKind;
+use crate::setting::{SettingError, within};
 use crate::worst_case::Reach;
 
 /// How room is made.
@@ -69,5 +70,25 @@ impl Default for ForesightSettings {
             slack_s: 0.05,
             predictor: PredictorKind::Mixture,
         }
+    }
+}
+
+impl ForesightSettings {
+    /// Refuses what no decision could be made with, naming the field.
+    pub fn check(&self) -> Result<(), SettingError> {
+        const SPAN: (f64, f64) = (1e-9, 1e9);
+        const COUNT: (f64, f64) = (1.0, 4096.0);
+        const NOT_NEGATIVE: (f64, f64) = (0.0, 1e12);
+        within("alpha", self.alpha, (0.0, 1.0), "a number from 0 to 1")?;
+        within("horizon_s", self.horizon_s, SPAN, "seconds from 1e-9 to 1e9")?;
+        within("reuse_s", self.reuse_s, SPAN, "seconds from 1e-9 to 1e9")?;
+        within("hysteresis", self.hysteresis, NOT_NEGATIVE, "a number from 0 to 1e12")?;
+        within("attenuation", self.attenuation, NOT_NEGATIVE, "a rate per second from 0 to 1e12")?;
+        within("request_cost_s", self.request_cost_s, NOT_NEGATIVE, "seconds from 0 to 1e12")?;
+        within("samples", self.samples as f64, COUNT, "a count from 1 to 4096")?;
+        within("tolerance", self.tolerance, NOT_NEGATIVE, "a number from 0 to 1e12")?;
+        within("slack_s", self.slack_s, NOT_NEGATIVE, "seconds from 0 to 1e12")?;
+        self.cut.check()?;
+        self.reach.check()
     }
 }
