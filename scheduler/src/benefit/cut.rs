@@ -8,7 +8,7 @@
 
 use super::accuracy::sharpness;
 use super::frustum::{Frustum, Side};
-use super::solid_angle;
+use super::{solid_angle, weight};
 use crate::lod_tree::{LodTree, NodeId};
 use crate::view::View;
 use glam::DVec3;
@@ -139,7 +139,7 @@ impl Cut {
     ) {
         let centre_distance = centre.length();
         let mut weight = if is_far {
-            projected_area(tree, node, centre / centre_distance) / (centre_distance * centre_distance)
+            weight::of_group(tree.face_areas(node), centre, centre_distance)
         } else {
             let exact = match (region, side) {
                 (Region::Frustum, Side::Straddles(planes)) => {
@@ -151,20 +151,15 @@ impl Cut {
             tree.importance(node) * exact
         };
         if let (true, Region::Frustum, Side::Straddles(planes)) = (is_far, region, side) {
-            weight *= share_inside(frustum, centre, half, planes);
+            weight *= weight::share_inside(&frustum.planes, centre, half, planes);
         }
         if settings.centre_falloff > 0.0 && matches!(region, Region::Frustum) {
-            let along = frustum.forward.dot(centre);
-            let across_squared = (centre_distance * centre_distance - along * along).max(0.0);
-            // Towards and behind the plane of the eye the tangent grows without bound; the floor keeps κ positive.
-            let along = along.max(0.05 * centre_distance).max(f64::MIN_POSITIVE);
-            weight /= 1.0 + settings.centre_falloff * across_squared / (along * along);
+            weight /= weight::off_centre(settings.centre_falloff, frustum.forward, centre, centre_distance);
         }
         if weight.is_nan() || weight <= 0.0 {
             return;
         }
-        let mut distance =
-            if tree.is_leaf(node) { (centre.abs() - half).max(DVec3::ZERO).length() } else { centre_distance };
+        let mut distance = if tree.is_leaf(node) { weight::nearest_distance(centre, half) } else { centre_distance };
         if let Region::Reachable { reach, stand_off, .. } = region {
             distance = (distance - reach).max(stand_off);
         }
@@ -176,21 +171,7 @@ impl Cut {
 
 /// Σ ι·A_ℓ(u) over the leaves beneath `node`, m², along the unit vector `direction`.
 pub fn projected_area(tree: &LodTree, node: NodeId, direction: DVec3) -> f64 {
-    tree.face_areas(node).dot(direction.abs())
-}
-
-/// Share of a small box inside the planes that cut it: a ramp over its extent across each plane.
-fn share_inside(frustum: &Frustum, centre: DVec3, half: DVec3, planes: u8) -> f64 {
-    let mut share = 1.0;
-    for (i, plane) in frustum.planes.iter().enumerate() {
-        if planes & (1 << i) != 0 {
-            let extent = plane.abs().dot(half);
-            if extent > 0.0 {
-                share *= (0.5 + 0.5 * plane.dot(centre) / extent).clamp(0.0, 1.0);
-            }
-        }
-    }
-    share
+    weight::projected_area(tree.face_areas(node), direction)
 }
 
 /// A frustum turned by up to `angle` and moved by up to `reach`, with the sines and cosines that its test needs.
