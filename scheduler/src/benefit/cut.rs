@@ -175,7 +175,7 @@ pub fn projected_area(tree: &LodTree, node: NodeId, direction: DVec3) -> f64 {
 }
 
 /// A frustum turned by up to `angle` and moved by up to `reach`, with the sines and cosines that its test needs.
-struct Widened<'a> {
+pub(crate) struct Widened<'a> {
     frustum: &'a Frustum,
     reach: f64,
     /// Planes are passed by directions at most this far behind them.
@@ -200,12 +200,12 @@ impl Angle {
 }
 
 impl<'a> Widened<'a> {
-    fn new(frustum: &'a Frustum, angle: f64, reach: f64) -> Widened<'a> {
+    pub(crate) fn new(frustum: &'a Frustum, angle: f64, reach: f64) -> Widened<'a> {
         Widened { frustum, reach, plane: Angle::new(angle), corner: Angle::new(frustum.corner_angle + angle) }
     }
 
     /// As [`Frustum::side`]; never misses a box.
-    fn side(&self, centre: DVec3, half: DVec3) -> Side {
+    pub(crate) fn side(&self, centre: DVec3, half: DVec3) -> Side {
         const EVERY_PLANE: u8 = 0b1111;
         const HALF_PI: f64 = core::f64::consts::FRAC_PI_2;
         let distance = centre.length();

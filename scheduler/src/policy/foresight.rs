@@ -15,6 +15,7 @@
 mod closure;
 mod retry;
 mod settings;
+mod worst;
 
 pub use settings::{Discards, ForesightSettings};
 
@@ -26,7 +27,7 @@ use crate::predict::Predictor;
 use crate::predict::motion::Motion;
 use crate::scheduler::Action;
 use crate::select::discard::{Victim, Victims};
-use crate::select::horizon::{Horizon, HorizonSettings};
+use crate::select::horizon::{Horizon, HorizonSettings, Worst};
 use crate::state::{ClientState, Status};
 use crate::units::Time;
 use crate::view::View;
@@ -86,6 +87,8 @@ pub struct Foresight {
     settings: ForesightSettings,
     predictor: Box<dyn Predictor>,
     motion: Motion,
+    /// The path that the client has announced: where a path-bound one can go.
+    track: Vec<glam::DVec3>,
     horizon: Horizon,
     sampled: Option<Time>,
     /// Outstanding when the objective was sampled.
@@ -129,6 +132,7 @@ impl Foresight {
             settings,
             predictor,
             motion: Motion::default(),
+            track: Vec::new(),
             horizon: Horizon::default(),
             sampled: None,
             queued_bytes: 0,
@@ -184,14 +188,15 @@ impl Foresight {
         if paths.is_empty() {
             paths.push(crate::predict::PredictedPath { weight: 1.0, views: vec![view; n] });
         }
-        let region = s.reach.region(self.motion.percentile(), epsilon);
+        let (region, worst_views) = worst::sampled(s, tree, plan, &view, self.motion.percentile(), epsilon, &self.track);
+        let worst = worst_views.as_deref().map_or(Worst::Union(&view, region), Worst::Views);
         let horizon = HorizonSettings {
             alpha: s.alpha,
             attenuation: s.attenuation,
             tolerance: (s.tolerance * self.typical_gain).clamp(TOLERANCES.0, TOLERANCES.1),
             cut: s.cut,
         };
-        self.horizon.make(tree, plan, &paths, &bounds, (&view, region), &horizon);
+        self.horizon.make(tree, plan, &paths, &bounds, worst, &horizon);
         self.sampled = Some(now);
         self.queued_bytes = state.outstanding_bytes();
         self.changes.clear();
@@ -622,6 +627,7 @@ impl Policy for Foresight {
     }
 
     fn announce_path(&mut self, path: &[(Time, View)]) {
+        worst::extend_track(&mut self.track, path);
         if self.predictor.announce_path(path) {
             self.sampled = None;
         }
