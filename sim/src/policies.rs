@@ -8,6 +8,8 @@ use foresight_scheduler::policy::{Policy, RIVALS, Rival, RivalSettings, added_be
 use foresight_scheduler::predict::{PredictedPath, Predictor, PredictorKind, known_path::KnownPath};
 use foresight_scheduler::units::Time;
 use foresight_scheduler::view::View;
+use foresight_scheduler::worst_case::WorstCaseKind;
+use foresight_scheduler::worst_case::neighbourhood::NeighbourhoodKind;
 
 /// Names in the order of the comparison: those that follow the objective around the rivals of [`RIVALS`].
 pub fn names() -> impl Iterator<Item = &'static str> + Clone {
@@ -70,7 +72,8 @@ pub enum PolicySpecError {
 }
 
 const OBJECTIVE_OPTIONS: &str = "alpha, predictor, discards, arrival, cover, horizon, reuse, hysteresis, attenuation, \
-                                 samples, opening, falloff, choice, tolerance, grouping, slack, turn-rate, speed or request-cost";
+                                 samples, opening, falloff, choice, tolerance, grouping, slack, turn-rate, speed, request-cost, \
+                                 worst, neighbourhood or clearance";
 
 impl PolicySpec {
     /// Parses a list separated by commas, in which `all` stands for every name. `alpha` is the default of those that have one; `error_target_px`
@@ -174,6 +177,15 @@ impl PolicySpec {
                     Discards::LeastRecentlyUsed
                 }
             }
+            "worst" => {
+                let known = WorstCaseKind::ALL.into_iter().find(|(name, _)| *name == value);
+                s.worst_case = known.ok_or_else(|| wrong("union or minimum"))?.1;
+            }
+            "neighbourhood" => {
+                let known = NeighbourhoodKind::ALL.into_iter().find(|(name, _)| *name == value);
+                s.neighbourhood = known.ok_or_else(|| wrong("free, walk, orbit or path"))?.1;
+            }
+            "clearance" => s.reach.clearance_rate = Some(number(0.0, 1e6, "a rate per second from 0 to 1000000")?),
             "predictor" if value == "true-path" => self.true_path = true,
             "predictor" => {
                 let known = PredictorKind::ALL.into_iter().find(|(name, _)| *name == value);
@@ -189,6 +201,13 @@ impl PolicySpec {
     /// The same policy aiming at another error.
     pub fn with_target(&self, px: f64) -> PolicySpec {
         PolicySpec { error_target_px: px, label: format!("{}:target={px}", self.label), ..self.clone() }
+    }
+
+    /// The reading of the worst case with the neighbourhood, for reports: `union`, `minimum (walk)`; `None` for rivals.
+    pub fn worst_case(&self) -> Option<String> {
+        let (reading, kind) = (self.settings.worst_case.name(), self.settings.neighbourhood);
+        let named = if kind == NeighbourhoodKind::Free { reading.to_owned() } else { format!("{reading} ({})", kind.name()) };
+        rival(self.name).is_none().then_some(named)
     }
 
     /// Whether it aims at an error on the screen.

@@ -8,7 +8,7 @@
 
 use super::accuracy::sharpness;
 use super::frustum::{Frustum, Side};
-use super::solid_angle;
+use super::{solid_angle, weight};
 use crate::lod_tree::{LodTree, NodeId};
 use crate::view::View;
 use glam::DVec3;
@@ -166,7 +166,7 @@ impl Eye {
         let frustum = &self.frustum;
         let centre_distance = centre.length();
         let mut weight = if is_far {
-            projected_area(tree, node, centre / centre_distance) / (centre_distance * centre_distance)
+            weight::of_group(tree.face_areas(node), centre, centre_distance)
         } else {
             let exact = match (self.region, side) {
                 (Region::Frustum, Side::Straddles(planes)) => {
@@ -178,20 +178,15 @@ impl Eye {
             tree.importance(node) * exact
         };
         if let (true, Region::Frustum, Side::Straddles(planes)) = (is_far, self.region, side) {
-            weight *= share_inside(frustum, centre, half, planes);
+            weight *= weight::share_inside(&frustum.planes, centre, half, planes);
         }
         if self.settings.centre_falloff > 0.0 && matches!(self.region, Region::Frustum) {
-            let along = frustum.forward.dot(centre);
-            let across_squared = (centre_distance * centre_distance - along * along).max(0.0);
-            // Towards and behind the plane of the eye the tangent grows without bound; the floor keeps κ positive.
-            let along = along.max(0.05 * centre_distance).max(f64::MIN_POSITIVE);
-            weight /= 1.0 + self.settings.centre_falloff * across_squared / (along * along);
+            weight /= weight::off_centre(self.settings.centre_falloff, frustum.forward, centre, centre_distance);
         }
         if weight.is_nan() || weight <= 0.0 {
             return None;
         }
-        let distance =
-            if tree.is_leaf(node) { (centre.abs() - half).max(DVec3::ZERO).length() } else { centre_distance };
+        let distance = if tree.is_leaf(node) { weight::nearest_distance(centre, half) } else { centre_distance };
         Some((weight, sharpness(frustum.pixels_per_radian, self.shown_distance(distance))))
     }
 
@@ -212,26 +207,12 @@ impl Eye {
 
 /// Σ ι·A_ℓ(u) over the leaves beneath `node`, m², along the unit vector `direction`.
 pub fn projected_area(tree: &LodTree, node: NodeId, direction: DVec3) -> f64 {
-    tree.face_areas(node).dot(direction.abs())
-}
-
-/// Share of a small box inside the planes that cut it: a ramp over its extent across each plane.
-fn share_inside(frustum: &Frustum, centre: DVec3, half: DVec3, planes: u8) -> f64 {
-    let mut share = 1.0;
-    for (i, plane) in frustum.planes.iter().enumerate() {
-        if planes & (1 << i) != 0 {
-            let extent = plane.abs().dot(half);
-            if extent > 0.0 {
-                share *= (0.5 + 0.5 * plane.dot(centre) / extent).clamp(0.0, 1.0);
-            }
-        }
-    }
-    share
+    weight::projected_area(tree.face_areas(node), direction)
 }
 
 /// A frustum turned by up to `angle` and moved by up to `reach`: the sines and cosines that its test needs.
 #[derive(Clone, Copy, Debug)]
-struct Widened {
+pub(crate) struct Widened {
     reach: f64,
     /// Planes are passed by directions at most this far behind them.
     plane: Angle,
@@ -255,12 +236,12 @@ impl Angle {
 }
 
 impl Widened {
-    fn new(frustum: &Frustum, angle: f64, reach: f64) -> Widened {
+    pub(crate) fn new(frustum: &Frustum, angle: f64, reach: f64) -> Widened {
         Widened { reach, plane: Angle::new(angle), corner: Angle::new(frustum.corner_angle + angle) }
     }
 
     /// As [`Frustum::side`]; never misses a box.
-    fn side(&self, frustum: &Frustum, centre: DVec3, half: DVec3) -> Side {
+    pub(crate) fn side(&self, frustum: &Frustum, centre: DVec3, half: DVec3) -> Side {
         const EVERY_PLANE: u8 = 0b1111;
         const HALF_PI: f64 = core::f64::consts::FRAC_PI_2;
         let distance = centre.length();

@@ -18,6 +18,7 @@ mod context;
 mod retry;
 mod sampled;
 mod settings;
+mod worst;
 
 pub use settings::{ChoiceMethod, Discards, ForesightSettings};
 
@@ -47,6 +48,8 @@ pub struct Foresight {
     settings: ForesightSettings,
     predictor: Box<dyn Predictor>,
     motion: Motion,
+    /// The path that the client has announced: where a path-bound one can go.
+    track: Vec<glam::DVec3>,
     /// Made at the first decision, when the client's refinement is known.
     method: Option<Box<dyn Choose>>,
     sampled: Option<Time>,
@@ -77,6 +80,7 @@ impl Foresight {
             settings,
             predictor,
             motion: Motion::default(),
+            track: Vec::new(),
             method: None,
             sampled: None,
             queued_bytes: 0,
@@ -118,8 +122,9 @@ impl Foresight {
         if paths.is_empty() {
             paths.push(PredictedPath { weight: 1.0, views: vec![view; n] });
         }
-        let region = s.reach.region(self.motion.percentile(), epsilon);
-        Lookahead { paths, bounds, worst: (view, region) }
+        let (tree, plan, speeds) = (state.tree, state.planned(), self.motion.percentile());
+        let (region, worst_views) = worst::sampled(s, tree, plan, &view, speeds, epsilon, &self.track);
+        Lookahead { paths, bounds, view, region, worst_views }
     }
 
     fn decide_with(&mut self, method: &mut dyn Choose, state: &ClientState, now: Time) -> Action {
@@ -232,6 +237,7 @@ impl Policy for Foresight {
     }
 
     fn announce_path(&mut self, path: &[(Time, View)]) {
+        worst::extend_track(&mut self.track, path);
         if self.predictor.announce_path(path) {
             self.sampled = None;
         }

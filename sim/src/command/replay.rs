@@ -1,15 +1,18 @@
 //! `replay`: compares policies.
 
-use super::inputs::{self, PathArgs};
+use super::inputs::{self, PathArgs, Placed};
 use super::runs::Recorder;
 use anyhow::{Context, bail};
 use clap::Args;
+use foresight_index::world::World;
 use foresight_scheduler::benefit::coverage::Refinement;
 use foresight_scheduler::benefit::cut::CutSettings;
 use foresight_scheduler::scheduler::SchedulerSettings;
 use foresight_sim::client::ClientSettings;
 use foresight_sim::compare::{Memory, Plan, compare, starts};
+use foresight_sim::link::LinkTrace;
 use foresight_sim::outcome::{Comparison, Inputs};
+use foresight_sim::path::CameraPath;
 use foresight_sim::policies::PolicySpec;
 use foresight_sim::report;
 use foresight_sim::stopwatch::Stopwatch;
@@ -231,6 +234,26 @@ pub(crate) fn run(args: ReplayArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// World, path and link of a replay.
+pub(crate) struct Opened {
+    pub(crate) link: LinkTrace,
+    pub(crate) path: CameraPath,
+    pub(crate) world_name: String,
+    pub(crate) world: World,
+    pub(crate) placed: Placed,
+}
+
+/// Opens what the arguments name and puts the path into the world.
+pub(crate) fn open(args: &ReplayArgs) -> anyhow::Result<Opened> {
+    // Links and paths are small: what is wrong with them is said before a world is loaded.
+    let link = inputs::open_link(args.link.as_deref())?.with_loss_seed(args.seed);
+    let path = inputs::open_path(args.path.as_deref(), &args.path_args)?;
+    let (world_name, world) = inputs::open_world(args.world.as_deref())?;
+    let as_is = args.world.is_none() && args.path.is_none();
+    let placed = inputs::place(&path, &world, as_is, &args.path_args)?;
+    Ok(Opened { link, path, world_name, world, placed })
+}
+
 /// Makes the comparison that the arguments ask for. `progress` is told how many replays of how many are done.
 pub(crate) fn execute(args: &ReplayArgs, progress: &(dyn Fn(usize, usize) + Sync)) -> anyhow::Result<Comparison> {
     if !(args.opening >= 0.0 && args.opening <= 2.0) {
@@ -254,12 +277,7 @@ pub(crate) fn execute(args: &ReplayArgs, progress: &(dyn Fn(usize, usize) + Sync
         }
     };
     let policies = PolicySpec::parse_list(&args.policy, args.alpha, target)?;
-    // Links and paths are small: what is wrong with them is said before a world is loaded.
-    let link = inputs::open_link(args.link.as_deref())?.with_loss_seed(args.seed);
-    let path = inputs::open_path(args.path.as_deref(), &args.path_args)?;
-    let (world_name, world) = inputs::open_world(args.world.as_deref())?;
-    let as_is = args.world.is_none() && args.path.is_none();
-    let placed = inputs::place(&path, &world, as_is, &args.path_args)?;
+    let Opened { link, path, world_name, world, placed } = open(args)?;
 
     let count = args.starts.unwrap_or(if args.link.is_none() { BUILT_IN_STARTS } else { 1 });
     let base = SchedulerSettings::with_budget(0);

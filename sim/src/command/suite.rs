@@ -64,9 +64,9 @@ const POLICIES: &str = "all,3d-tiles-renderer:parallel=6";
 /// A replay's options on their own.
 #[derive(Debug, Parser)]
 #[command(name = "replay")]
-struct Line {
+pub(crate) struct Line {
     #[command(flatten)]
-    replay: ReplayArgs,
+    pub(crate) replay: ReplayArgs,
 }
 
 pub(crate) fn run(args: &SuiteArgs) -> anyhow::Result<()> {
@@ -153,7 +153,7 @@ fn chosen(names: &[String]) -> anyhow::Result<Vec<&'static Case>> {
 }
 
 /// Where recorded data are, and whether somebody said so.
-fn data_folder(given: Option<&Path>) -> (PathBuf, bool) {
+pub(crate) fn data_folder(given: Option<&Path>) -> (PathBuf, bool) {
     let named = std::env::var_os("FORESIGHT_DATA").filter(|v| !v.is_empty()).map(PathBuf::from);
     match given.map(Path::to_owned).or(named) {
         Some(folder) => (folder, true),

@@ -204,8 +204,7 @@ impl Choose for CertifiedChoice {
     fn sample(&mut self, cx: &Context, ahead: &Lookahead) {
         let s = cx.settings;
         let settings = ObjectiveSettings { alpha: s.alpha, attenuation: s.attenuation, cut: s.cut };
-        let worst = (&ahead.worst.0, ahead.worst.1);
-        self.objective.make(cx.state.tree, &ahead.paths, &ahead.bounds, worst, &settings);
+        self.objective.make(cx.state.tree, &ahead.paths, &ahead.bounds, ahead.worst(), &settings);
         self.restarted = false;
         self.residents.sampled();
         self.nearest = ahead.paths.first().and_then(|path| path.views.first()).copied();

@@ -5,6 +5,7 @@ use crate::benefit::cut::Region;
 use crate::lod_tree::RepId;
 use crate::predict::PredictedPath;
 use crate::select::certified::Certificate;
+use crate::select::horizon::Worst;
 use crate::state::{ClientState, Status};
 use crate::units::Time;
 use crate::view::View;
@@ -56,8 +57,16 @@ pub(super) struct Lookahead {
     pub(super) paths: Vec<PredictedPath>,
     /// Ends of the intervals, seconds, ascending from 0.
     pub(super) bounds: Vec<f64>,
-    /// The present view and what is reachable from it.
-    pub(super) worst: (View, Region),
+    /// The present view, what is reachable from it, and under `minimum` the worst reachable views with their weights.
+    pub(super) view: View,
+    pub(super) region: Region,
+    pub(super) worst_views: Option<Vec<(f64, View)>>,
+}
+
+impl Lookahead {
+    pub(super) fn worst(&self) -> Worst<'_> {
+        self.worst_views.as_deref().map_or(Worst::Union(&self.view, self.region), Worst::Views)
+    }
 }
 
 /// A closure chosen, with what has to go for it.

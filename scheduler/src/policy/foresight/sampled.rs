@@ -95,7 +95,7 @@ impl Sampled {
             tolerance: (s.grouping * self.typical_gain).clamp(TOLERANCES.0, TOLERANCES.1),
             cut: s.cut,
         };
-        self.horizon.make(tree, plan, &ahead.paths, &ahead.bounds, (&ahead.worst.0, ahead.worst.1), &horizon);
+        self.horizon.make(tree, plan, &ahead.paths, &ahead.bounds, ahead.worst(), &horizon);
         self.changes.clear();
         self.uses += 1;
         self.victims.clear();

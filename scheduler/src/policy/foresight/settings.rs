@@ -2,7 +2,8 @@
 
 use crate::benefit::cut::CutSettings;
 use crate::predict::PredictorKind;
-use crate::worst_case::Reach;
+use crate::worst_case::neighbourhood::NeighbourhoodKind;
+use crate::worst_case::{Reach, WorstCaseKind};
 
 /// How room is made.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -52,6 +53,12 @@ pub struct ForesightSettings {
     pub grouping: f64,
     /// Limits of the client's motion.
     pub reach: Reach,
+    /// How the client moves: what it could reach if the prediction fails.
+    pub neighbourhood: NeighbourhoodKind,
+    /// The reading of the worst case.
+    pub worst_case: WorstCaseKind,
+    /// Under `minimum`: samples of the covering set, of which the worst become terms of the objective.
+    pub worst_samples: usize,
     /// How room is made.
     pub discards: Discards,
     /// Whether a gain counts from the arrival of the bytes; otherwise from now.
@@ -79,6 +86,9 @@ impl Default for ForesightSettings {
             tolerance: 1e-3,
             grouping: 0.1,
             reach: Reach::default(),
+            neighbourhood: NeighbourhoodKind::Free,
+            worst_case: WorstCaseKind::Union,
+            worst_samples: 16,
             discards: Discards::Planned,
             gains_from_arrival: true,
             cover_first: true,

@@ -6,6 +6,7 @@
 use crate::benefit::cut::{Cut, CutSettings, Eye, Region};
 use crate::lod_tree::LodTree;
 use crate::predict::PredictedPath;
+use crate::select::horizon::Worst;
 use crate::view::View;
 
 /// θ of the cuts that only scale the weights of a view to its frustum.
@@ -47,13 +48,13 @@ pub struct Objective {
 
 impl Objective {
     /// Looks ahead anew. `bounds` are the ends of the intervals in seconds, ascending from 0; each of `paths` has a view
-    /// per interval, at its middle. `worst` is the view and the region reachable from it.
-    pub fn make(
+    /// per interval, at its middle. `worst` is the view with the region reachable from it, or the worst reachable views.
+    pub fn make<'a>(
         &mut self,
         tree: &LodTree,
         paths: &[PredictedPath],
         bounds: &[f64],
-        worst: (&View, Region),
+        worst: impl Into<Worst<'a>>,
         settings: &ObjectiveSettings,
     ) {
         self.terms.clear();
@@ -75,7 +76,15 @@ impl Objective {
         }
         if settings.alpha < 1.0 {
             let cut = CutSettings { centre_falloff: 0.0, ..settings.cut };
-            self.add(tree, worst.0, worst.1, self.spans.len(), 1.0 - settings.alpha, &cut);
+            let (always, share) = (self.spans.len(), 1.0 - settings.alpha);
+            match worst.into() {
+                Worst::Union(view, region) => self.add(tree, view, region, always, share, &cut),
+                Worst::Views(views) => {
+                    for (weight, view) in views {
+                        self.add(tree, view, Region::Frustum, always, share * weight, &cut);
+                    }
+                }
+            }
         }
     }
 
