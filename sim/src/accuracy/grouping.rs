@@ -5,6 +5,7 @@ use super::situation::Situation;
 use super::statistics::{Quantiles, relative_error};
 use crate::random::SplitMix64;
 use crate::stopwatch::Stopwatch;
+use foresight_scheduler::benefit::accuracy::accuracy;
 use foresight_scheduler::benefit::cut::CutSettings;
 use foresight_scheduler::lod_tree::{LodTree, NodeId, RepId};
 use foresight_scheduler::policy::foresight::ForesightSettings;
@@ -51,9 +52,10 @@ pub fn measure(
     for (i, situation) in situations.iter().enumerate() {
         let mut random = SplitMix64::new(seed ^ (i as u64) << 32);
         let exact = Sampled::new(tree, situation, settings, 0.0);
-        let reps = draw(tree, situation, count, &mut random);
+        let all = exact.gain_of_each(tree, situation);
+        let best = all.iter().copied().fold(0.0, f64::max);
+        let reps = draw(tree, situation, &all, count, &mut random);
         let truth: Vec<f64> = exact.gains(tree, situation, &reps);
-        let best = truth.iter().copied().fold(0.0, f64::max);
         for (row, &angle) in rows.iter_mut().zip(&angles) {
             let watch = Stopwatch::start();
             let sampled = Sampled::new(tree, situation, settings, angle);
@@ -110,7 +112,6 @@ struct Sampled {
 
 impl Sampled {
     fn new(tree: &LodTree, situation: &Situation, settings: &ForesightSettings, opening: f64) -> Sampled {
-        let bounds: Vec<f64> = std::iter::once(0.0).chain(situation.offsets.iter().copied()).collect();
         let horizon = HorizonSettings {
             alpha: 1.0,
             attenuation: settings.attenuation,
@@ -119,8 +120,23 @@ impl Sampled {
         };
         let mut sampled = Sampled { horizon: Horizon::default(), arrival_s: situation.arrival_s };
         let worst = (&situation.view, situation.region);
-        sampled.horizon.make(tree, &situation.planned, &situation.paths, &bounds, worst, &horizon);
+        sampled.horizon.make(tree, &situation.planned, &situation.middles, &situation.bounds, worst, &horizon);
         sampled
+    }
+
+    /// What each representation by itself would gain.
+    fn gain_of_each(&self, tree: &LodTree, situation: &Situation) -> Vec<f64> {
+        let mut gains = vec![0.0; tree.representations()];
+        self.horizon.for_each(tree, &situation.planned, self.arrival_s, |patch, share, chain, _| {
+            let shown = accuracy(f64::from(chain.best), patch.sharpness);
+            for rep in tree.ancestors(patch.node).flat_map(|node| tree.own(node)) {
+                let error = tree.error(rep);
+                if error < f64::from(chain.best) {
+                    gains[rep.index()] += share * patch.weight * (accuracy(error, patch.sharpness) - shown);
+                }
+            }
+        });
+        gains
     }
 
     fn gains(&self, tree: &LodTree, situation: &Situation, reps: &[RepId]) -> Vec<f64> {
@@ -129,8 +145,9 @@ impl Sampled {
     }
 }
 
-/// Representations that are not planned: half of any level, half of what owns much beneath it.
-fn draw(tree: &LodTree, situation: &Situation, count: usize, random: &mut SplitMix64) -> Vec<RepId> {
+/// Representations that are not planned: a third of any, a third coarse ones, a third of those that gain.
+fn draw(tree: &LodTree, situation: &Situation, gains: &[f64], count: usize, random: &mut SplitMix64) -> Vec<RepId> {
+    let gaining: Vec<RepId> = (0..gains.len() as u32).map(RepId).filter(|rep| gains[rep.index()] > 0.0).collect();
     let total = tree.representations();
     let mut reps = Vec::with_capacity(count);
     // What is planned is drawn again, a bounded number of times: all of a small world may be planned.
@@ -138,8 +155,12 @@ fn draw(tree: &LodTree, situation: &Situation, count: usize, random: &mut SplitM
         if reps.len() == count || total == 0 {
             break;
         }
-        let rep = RepId((random.uniform() * total as f64) as u32);
-        let rep = if draw % 2 == 0 { rep } else { coarser(tree, tree.node_of(rep), random).unwrap_or(rep) };
+        let any = RepId((random.uniform() * total as f64) as u32);
+        let rep = match draw % 3 {
+            0 => any,
+            1 => coarser(tree, tree.node_of(any), random).unwrap_or(any),
+            _ => gaining.get((random.uniform() * gaining.len() as f64) as usize).copied().unwrap_or(any),
+        };
         if !situation.planned.contains(rep) {
             reps.push(rep);
         }
