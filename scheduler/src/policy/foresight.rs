@@ -188,7 +188,8 @@ impl Foresight {
         if paths.is_empty() {
             paths.push(crate::predict::PredictedPath { weight: 1.0, views: vec![view; n] });
         }
-        let (region, worst_views) = worst::sampled(s, tree, plan, &view, self.motion.percentile(), epsilon, &self.track);
+        let (region, worst_views) =
+            worst::sampled(s, tree, plan, &view, self.motion.percentile(), epsilon, &self.track);
         let worst = worst_views.as_deref().map_or(Worst::Union(&view, region), Worst::Views);
         let horizon = HorizonSettings {
             alpha: s.alpha,

@@ -39,8 +39,7 @@ impl Default for MinimumSettings {
 
 impl MinimumSettings {
     /// Offline: 1 % of Σw, or some seconds.
-    pub const OFFLINE: MinimumSettings =
-        MinimumSettings { tolerance: 0.01, evaluations_max: 50_000_000, samples: 64 };
+    pub const OFFLINE: MinimumSettings = MinimumSettings { tolerance: 0.01, evaluations_max: 50_000_000, samples: 64 };
 
     fn check(&self) -> Result<(), WorstCaseError> {
         within("tolerance", self.tolerance, 0.0, 1.0, "a share from 0 to 1")?;
@@ -77,11 +76,7 @@ pub fn deficits(targets: &Targets, neighbourhood: &Neighbourhood, samples: usize
 }
 
 /// W by the covering set. The error is guessed as the largest difference between samples next to each other.
-pub fn sampled(
-    targets: &Targets,
-    neighbourhood: &Neighbourhood,
-    samples: usize,
-) -> Result<Estimate, WorstCaseError> {
+pub fn sampled(targets: &Targets, neighbourhood: &Neighbourhood, samples: usize) -> Result<Estimate, WorstCaseError> {
     within("samples", samples as f64, 1.0, 1e6, "a count from 1 to 10⁶")?;
     let found = deficits(targets, neighbourhood, samples);
     let largest = found.iter().map(|(_, d)| d.deficit).fold(0.0, f64::max);

@@ -61,10 +61,22 @@ impl NeighbourhoodKind {
 #[derive(Clone, Debug, PartialEq)]
 enum Shape {
     Free,
-    Walking { step: f64, pitch: (f64, f64) },
-    Orbiting { target: DVec3, side: DVec3, distance: f64, arc: (f64, f64), tilt: (f64, f64), nearer: f64 },
+    Walking {
+        step: f64,
+        pitch: (f64, f64),
+    },
+    Orbiting {
+        target: DVec3,
+        side: DVec3,
+        distance: f64,
+        arc: (f64, f64),
+        tilt: (f64, f64),
+        nearer: f64,
+    },
     /// Corners of the reachable part of the path, each with its length from where the client is.
-    PathBound { corners: Vec<(f64, DVec3)> },
+    PathBound {
+        corners: Vec<(f64, DVec3)>,
+    },
 }
 
 /// The views reachable from one view.
@@ -336,7 +348,8 @@ impl Neighbourhood {
         views.turn = libm::hypot(h[3], h[4]);
         match &self.shape {
             Shape::Free => {
-                views.radius = views.radius.min(self.reach + DVec3::new(part.mid[0], part.mid[1], part.mid[2]).length());
+                views.radius =
+                    views.radius.min(self.reach + DVec3::new(part.mid[0], part.mid[1], part.mid[2]).length());
                 views.turn = views.turn.min(self.angle + libm::hypot(part.mid[3], part.mid[4]));
             }
             Shape::Walking { step, .. } => {
@@ -391,7 +404,8 @@ impl Neighbourhood {
                 let yaw = libm::remainder(azimuth(after) - azimuth(before), 2.0 * PI);
                 let rest = (DQuat::from_rotation_y(yaw) * self.view.orientation).conjugate() * view.orientation;
                 let rest = crate::predict::motion::rotation_vector(rest);
-                let pitched = libm::hypot(rest.y, rest.z) <= 1e-6 && rest.x >= pitch.0 - 1e-6 && rest.x <= pitch.1 + 1e-6;
+                let pitched =
+                    libm::hypot(rest.y, rest.z) <= 1e-6 && rest.x >= pitch.0 - 1e-6 && rest.x <= pitch.1 + 1e-6;
                 flat <= self.reach + slack && moved.y.abs() <= step + slack && yaw.abs() <= self.angle + 1e-6 && pitched
             }
             Shape::Orbiting { target, side, distance, arc, tilt, nearer } => {
@@ -406,7 +420,9 @@ impl Neighbourhood {
                 let b = elevation(before) - elevation(arm / length);
                 let a = libm::remainder(azimuth(arm) - azimuth(before), 2.0 * PI);
                 let turn = DQuat::from_rotation_y(a) * DQuat::from_axis_angle(*side, b);
-                let off = crate::predict::motion::rotation_vector((turn * self.view.orientation).conjugate() * view.orientation);
+                let off = crate::predict::motion::rotation_vector(
+                    (turn * self.view.orientation).conjugate() * view.orientation,
+                );
                 off.length() <= 1e-6
                     && (arc.0 - 1e-6..=arc.1 + 1e-6).contains(&a)
                     && (tilt.0 - 1e-6..=tilt.1 + 1e-6).contains(&b)
@@ -460,10 +476,13 @@ impl Neighbourhood {
             let sample = self.sample(part);
             // Projecting the middle onto the convex ball or disc brings it no farther from what lies within; along a path
             // the middle of the box need not be on it.
-            covering.radius_m = covering.radius_m.max(views.radius + match self.shape {
-                Shape::PathBound { .. } => sample.position.distance(views.eye),
-                _ => 0.0,
-            });
+            covering.radius_m = covering.radius_m.max(
+                views.radius
+                    + match self.shape {
+                        Shape::PathBound { .. } => sample.position.distance(views.eye),
+                        _ => 0.0,
+                    },
+            );
             covering.radius_rad = covering.radius_rad.max(views.turn);
             covering.views.push(sample);
         }
@@ -479,11 +498,14 @@ impl Neighbourhood {
             Shape::Walking { step, .. } => {
                 libm::hypot((libm::hypot(gap.x, gap.z) - self.reach).max(0.0), (gap.y - step).max(0.0))
             }
-            _ => self.pieces().map(|v| {
-                let gap = ((bounds.centre() - v.eye).abs() - half).max(DVec3::ZERO);
-                let boxed = (gap - v.half).max(DVec3::ZERO).length();
-                boxed.max(gap.length() - v.radius)
-            }).fold(f64::INFINITY, f64::min),
+            _ => self
+                .pieces()
+                .map(|v| {
+                    let gap = ((bounds.centre() - v.eye).abs() - half).max(DVec3::ZERO);
+                    let boxed = (gap - v.half).max(DVec3::ZERO).length();
+                    boxed.max(gap.length() - v.radius)
+                })
+                .fold(f64::INFINITY, f64::min),
         }
     }
 

@@ -249,7 +249,9 @@ impl Targets {
         if side == Seen::Never {
             return Item::default();
         }
-        if target.is_far { self.far_bounds(target, centre, side, views, lens) } else {
+        if target.is_far {
+            self.far_bounds(target, centre, side, views, lens)
+        } else {
             self.leaf_bounds(target, centre, side, views, lens, wide, narrow)
         }
     }

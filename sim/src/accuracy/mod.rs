@@ -8,10 +8,12 @@ pub mod grouping;
 pub mod hard;
 pub mod integral;
 pub mod outcome;
+mod record;
 pub mod scale;
 pub mod scene;
 pub mod situation;
 pub mod statistics;
+pub mod worst_case;
 
 /// The stream of numbers from which candidates are drawn.
 pub use crate::random::SplitMix64 as Draws;

@@ -12,6 +12,7 @@ use foresight_sim::accuracy::Part;
 use foresight_sim::accuracy::integral::Integrals;
 use foresight_sim::accuracy::outcome::{Accuracy, SCHEMA_VERSION};
 use foresight_sim::accuracy::situation::{self, Source};
+use foresight_sim::accuracy::worst_case::WorstCases;
 use foresight_sim::accuracy::{Draws, findings, grouping, hard, scale, scene};
 use foresight_sim::link::LinkTrace;
 use foresight_sim::report;
@@ -87,6 +88,9 @@ const RECORDED_SECONDS: &str = "20";
 
 /// Most candidates of a situation for which grouping is set against leaf by leaf.
 const GROUPED_MOST: usize = 200;
+
+/// Situations over all cases, at least, in which the worst case is measured.
+const WORST_SCENES: usize = 20;
 
 /// Memory of a replay that does not say how many bytes.
 const MEMORY: u64 = 64 << 20;
@@ -199,6 +203,7 @@ fn measure_cases(
     let mut random = Draws::new(args.seed);
     let mut integrals = Integrals::default();
     let mut grouped = Vec::new();
+    let mut worst = WorstCases::default();
     for case in cases {
         progress.show(&format!("{}: opening", case.name));
         let line = Line::try_parse_from(&case.line).with_context(|| format!("case {}", case.name))?;
@@ -224,10 +229,20 @@ fn measure_cases(
             progress.show(&format!("{}: grouping", case.name));
             let count = each.min(GROUPED_MOST);
             let of_case = grouping::measure(source.tree, &situations, &settings, count, args.seed);
-            outcome.integral.extend(of_case.iter().map(|g| grouping::row(&case.name, g)));
+            outcome.integral.extend(of_case.iter().filter_map(|g| grouping::row(&case.name, g)));
             grouped.push(of_case);
         }
+        if is_asked(Part::WorstCase) {
+            let scenes = WORST_SCENES.div_ceil(cases.len()).min(situations.len());
+            for (i, situation) in situations.iter().take(scenes).enumerate() {
+                progress.show(&format!("{}: worst case, situation {} of {scenes}", case.name, i + 1));
+                worst
+                    .measure(&case.name, source.tree, situation, &settings, args.candidates, &mut random)
+                    .with_context(|| format!("case {}", case.name))?;
+            }
+        }
     }
+    outcome.worst_case = worst.rows();
     if is_asked(Part::Integral) {
         for scene in hard::scenes(args.candidates as usize - real, args.seed)? {
             progress.show(&format!("{}: integrals", scene.case));
