@@ -5,6 +5,7 @@
 
 pub mod grouping;
 pub mod outcome;
+pub mod reference;
 pub mod scale;
 pub mod situation;
 pub mod statistics;
