@@ -3,7 +3,7 @@
 //! With τ along the path from the point closest to the centre, d² = b² + τ², x = τ/d, k² = E/(b²+E):
 //! ∫ τ dτ/(d(d²+E)) = atan(d/√E)/√E and ∫ dτ/(d(d²+E)) = atanh(kx)/√(E(b²+E)); −1/d and x/b² for E = 0.
 
-use super::double::{Vector, atan2, dot, double, ln, minus, plus, times};
+use super::double::{Vector, atan2, dot, double, ln, minus, plus, ratio, times};
 use super::scene::Scene;
 use foresight_scheduler::integral::AddedBenefit;
 use twofloat::TwoFloat;
@@ -21,7 +21,7 @@ pub(super) fn integrate(
     if speed.hi() <= 0.0 {
         return None;
     }
-    let direction = times(velocity, double(1.0) / speed);
+    let direction = times(velocity, ratio(double(1.0), speed));
     let start = scene.relative(from);
     let first = -dot(&start, &direction);
     let last = first + speed * (to - from);
@@ -30,7 +30,7 @@ pub(super) fn integrate(
     let mut ends = vec![first, last];
     for k in 0..3 {
         if direction[k].hi() != 0.0 {
-            let at = closest[k] / direction[k];
+            let at = ratio(closest[k], direction[k]);
             if at > first && at < last {
                 ends.push(at);
             }
@@ -55,7 +55,7 @@ pub(super) fn integrate(
         }
     }
     // Thirty digits of what was subtracted, with two to spare.
-    Some((value / speed, 1e-28 * magnitude / speed.hi()))
+    Some((ratio(value, speed), 1e-28 * magnitude / speed.hi()))
 }
 
 /// (∫ dτ/(d(d²+E)), ∫ τ dτ/(d(d²+E))) at τ.
@@ -63,18 +63,19 @@ fn antiderivatives(b_squared: TwoFloat, e_squared: TwoFloat, tau: TwoFloat) -> (
     let squared = b_squared + tau * tau;
     let d = squared.sqrt();
     if e_squared.hi() == 0.0 {
-        let even = if b_squared.hi() > 0.0 { tau / d / b_squared } else { double(0.0) };
-        return (even, double(-1.0) / d);
+        let even = if b_squared.hi() > 0.0 { ratio(ratio(tau, d), b_squared) } else { double(0.0) };
+        return (even, ratio(double(-1.0), d));
     }
     let e = e_squared.sqrt();
-    let odd = atan2(d, e) / e;
+    let odd = ratio(atan2(d, e), e);
     if b_squared.hi() <= 0.0 {
         return (double(0.0), odd);
     }
     let root = (b_squared + e_squared).sqrt();
-    let kx = e / root * tau.abs() / d;
+    let kx = ratio(e * tau.abs(), root * d);
     // (1 + kx)/(1 − kx) = (1 + kx)²/(1 − k²x²), and 1 − k²x² has no cancellation.
-    let ratio = (kx + 1.0) * (kx + 1.0) * squared * (b_squared + e_squared) / (b_squared * (squared + e_squared));
-    let even = ln(ratio) / 2.0 / (e * root);
+    let quotient =
+        ratio((kx + 1.0) * (kx + 1.0) * squared * (b_squared + e_squared), b_squared * (squared + e_squared));
+    let even = ratio(ln(quotient) / 2.0, e * root);
     (if tau.hi() < 0.0 { -even } else { even }, odd)
 }

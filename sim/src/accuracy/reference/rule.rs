@@ -1,6 +1,6 @@
 //! The Gauss–Legendre rule of ten nodes in double-double.
 
-use super::double::double;
+use super::double::{double, ratio};
 use std::sync::LazyLock;
 use twofloat::TwoFloat;
 
@@ -14,7 +14,7 @@ fn legendre(x: TwoFloat) -> (TwoFloat, TwoFloat) {
         let next = (x * now * (2.0 * k - 1.0) - before * (k - 1.0)) / k;
         (before, now) = (now, next);
     }
-    (now, (x * now - before) * NODES as f64 / (x * x - 1.0))
+    (now, ratio((x * now - before) * NODES as f64, x * x - 1.0))
 }
 
 /// (node, weight) on [−1, 1], ascending.
@@ -27,10 +27,10 @@ pub(super) fn rule() -> &'static [(TwoFloat, TwoFloat)] {
                 let mut x = double(libm::cos(core::f64::consts::PI * (i as f64 + 0.75) / (NODES as f64 + 0.5)));
                 for _ in 0..6 {
                     let (p, slope) = legendre(x);
-                    x -= p / slope;
+                    x -= ratio(p, slope);
                 }
                 let (_, slope) = legendre(x);
-                (x, double(2.0) / ((double(1.0) - x * x) * slope * slope))
+                (x, ratio(double(2.0), (double(1.0) - x * x) * slope * slope))
             })
             .collect()
     });

@@ -1,7 +1,7 @@
 //! The integrand in double-double arithmetic, written apart from the scheduler's: everything is turned into the camera's
 //! frame, and solid angles are summed over the faces of the box that the eye sees.
 
-use super::double::{Vector, atan2, cross, difference, dot, double, exp, minus, plus, sin_cos, times};
+use super::double::{Vector, atan2, cross, difference, dot, double, exp, minus, plus, ratio, sin_cos, times};
 use foresight_scheduler::benefit::accuracy::HALF_ACCURACY_PX;
 use foresight_scheduler::integral::{AddedBenefit, Form};
 use glam::DVec3;
@@ -35,7 +35,7 @@ impl Scene<'_> {
         let q = view.orientation;
         let norm = [q.x, q.y, q.z, q.w].map(|x| double(x) * x).into_iter().fold(double(0.0), |a, b| a + b);
         // The rotation matrix of q/|q|, by columns.
-        let product = |a: f64, b: f64| TwoFloat::new_mul(a, b) * 2.0 / norm;
+        let product = |a: f64, b: f64| ratio(TwoFloat::new_mul(a, b) * 2.0, norm);
         let one = double(1.0);
         let right = [
             one - product(q.y, q.y) - product(q.z, q.z),
@@ -50,17 +50,17 @@ impl Scene<'_> {
         let forward = times(&cross(&right, &up), double(-1.0));
         let (sin, cos) = sin_cos(double(0.5 * view.fov_y));
         let [width, height] = view.viewport.map(f64::from);
-        let up_tan = sin / cos;
+        let up_tan = ratio(sin, cos);
         let centre = benefit.target.centre();
         let eye = view.position;
         let axis = vector(benefit.leg.axis());
         let length = dot(&axis, &axis).sqrt();
-        let pixels = double(height) / (up_tan * 2.0 * HALF_ACCURACY_PX);
+        let pixels = ratio(double(height), up_tan * 2.0 * HALF_ACCURACY_PX);
         Scene {
             benefit,
             centre: [difference(centre.x, eye.x), difference(centre.y, eye.y), difference(centre.z, eye.z)],
             velocity: vector(benefit.leg.velocity()),
-            axis: axis.map(|x| x / length),
+            axis: axis.map(|x| ratio(x, length)),
             camera: [right, up, forward],
             tan: [up_tan * width / height, up_tan],
             sharpness: pixels * pixels,
@@ -100,7 +100,7 @@ impl Scene<'_> {
                 for k in 0..3 {
                     weight += centre[k].abs() * areas[k];
                 }
-                weight = weight / (floored * floored * floored);
+                weight = ratio(weight, floored * floored * floored);
                 for plane in &planes {
                     let height = dot(plane, &centre);
                     let extent = plane[0].abs() * half[0] + plane[1].abs() * half[1] + plane[2].abs() * half[2];
@@ -116,7 +116,7 @@ impl Scene<'_> {
             let along = dot(&forward, &centre);
             let across = larger(floored * floored - along * along, double(0.0));
             let along = larger(along, floored * COSINE_MIN);
-            weight = weight / (across * cut.centre_falloff / (along * along) + 1.0);
+            weight = ratio(weight, ratio(across * cut.centre_falloff, along * along) + 1.0);
         }
         if *attenuation > 0.0 {
             weight = weight * exp((seconds + leg.from_s()) * -attenuation);
@@ -137,7 +137,7 @@ impl Scene<'_> {
 
     /// a(g₁) − a(g₀) at a distance.
     fn gain(&self, distance: TwoFloat) -> TwoFloat {
-        let sharpness = self.sharpness / (distance * distance);
+        let sharpness = ratio(self.sharpness, distance * distance);
         let [x, y] = [self.benefit.after, self.benefit.before]
             .map(|g| (g != f64::INFINITY).then(|| TwoFloat::new_mul(g, g) * sharpness));
         match (x, y) {
@@ -145,10 +145,10 @@ impl Scene<'_> {
                 let (after, before) = (self.benefit.after, self.benefit.before);
                 let spread = difference(before, after) * TwoFloat::new_add(before, after) * sharpness;
                 let y = x + spread;
-                spread / (x + 1.0) / (y + 1.0)
+                ratio(ratio(spread, x + 1.0), y + 1.0)
             }
-            (Some(x), None) => double(1.0) / (x + 1.0),
-            (None, Some(y)) => double(-1.0) / (y + 1.0),
+            (Some(x), None) => ratio(double(1.0), x + 1.0),
+            (None, Some(y)) => ratio(double(-1.0), y + 1.0),
             (None, None) => double(0.0),
         }
     }
@@ -208,7 +208,7 @@ fn share(height: TwoFloat, extent: TwoFloat) -> TwoFloat {
     if extent.hi() == 0.0 {
         return double(if height.hi() >= 0.0 { 1.0 } else { 0.0 });
     }
-    let ramp = height / extent * 0.5 + 0.5;
+    let ramp = ratio(height, extent) * 0.5 + 0.5;
     if ramp.hi() <= 0.0 {
         double(0.0)
     } else if ramp.hi() >= 1.0 {
@@ -230,7 +230,7 @@ fn inside(corners: &[Vector], plane: &Vector) -> Vec<Vector> {
     for b in corners {
         let height_b = dot(b, plane);
         if (height_a.hi() >= 0.0) != (height_b.hi() >= 0.0) {
-            out.push(plus(a, &times(&minus(b, a), height_a / (height_a - height_b))));
+            out.push(plus(a, &times(&minus(b, a), ratio(height_a, height_a - height_b))));
         }
         if height_b.hi() >= 0.0 {
             out.push(*b);
