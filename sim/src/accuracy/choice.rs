@@ -10,7 +10,8 @@ use foresight_scheduler::lod_tree::{LodTree, RepId};
 use foresight_scheduler::policy::foresight::{ChoiceMethod, ForesightSettings};
 use foresight_scheduler::predict::PredictedPath;
 use foresight_scheduler::select::certified::{
-    Ask, Instance, Link, Objective, ObjectiveSettings, Ranked, Search, Standing, certified_winner, exhaustive_winner,
+    Ask, Instance, Link, Objective, ObjectiveSettings, Ranked, Search, Standing, certified_winner, closure,
+    exhaustive_winner,
 };
 use foresight_scheduler::select::horizon::{Horizon, HorizonSettings};
 
@@ -60,7 +61,8 @@ impl Choices {
     /// The methods, of which `settings` names the one that decisions use.
     pub fn new(settings: &ForesightSettings) -> Choices {
         let by = settings.choice;
-        let certified = CERTIFIED.map(|t| (Method::Certified(t), by == ChoiceMethod::Certified && t == settings.tolerance));
+        let certified =
+            CERTIFIED.map(|t| (Method::Certified(t), by == ChoiceMethod::Certified && t == settings.tolerance));
         let sampled = SAMPLED.map(|t| (Method::Sampled(t), by == ChoiceMethod::Sampled && t == settings.grouping));
         let methods = std::iter::once((Method::Exhaustive, false)).chain(sampled).chain(certified).collect();
         Choices { methods, cases: Vec::new() }
@@ -80,8 +82,8 @@ impl Choices {
             self.cases.push((case.to_owned(), vec![Record::default(); self.methods.len()]));
         }
         let Some((_, records)) = self.cases.last_mut() else { return };
-        let (coarse, fine) = (instance(tree, situation, settings, false), instance(tree, situation, settings, true));
-        let (mut coarse, mut fine) = (coarse, fine);
+        let mut coarse = instance(tree, situation, settings, false);
+        let mut fine = instance(tree, situation, settings, true);
         for _ in 0..decisions.min(EVALUATED_MOST.div_ceil(tree.representations().max(1))) {
             let watch = Stopwatch::start();
             let best = exhaustive_winner(&mut coarse);
@@ -104,7 +106,8 @@ impl Choices {
                         (rep, patches as u64, watch.nanos())
                     }
                 };
-                let worth = |instance: &mut Instance| chosen.and_then(|rep| ranked(instance, rep)).map_or(0.0, |r| r.ratio);
+                let worth =
+                    |instance: &mut Instance| chosen.and_then(|rep| ranked(instance, rep)).map_or(0.0, |r| r.ratio);
                 let regret = regret(worth(&mut coarse), best.ratio);
                 // The finest choice is known to a tolerance: what is better than it has no regret.
                 let of_fine = self::regret(worth(&mut fine), finest.ratio);
@@ -128,8 +131,8 @@ impl Choices {
     /// A row a case and method, and over all cases a row a method, in that order.
     pub fn rows(&self) -> Vec<ChoiceRow> {
         let mut whole = vec![Record::default(); self.methods.len()];
-        for (sum, record) in self.cases.iter().flat_map(|(_, records)| records.iter().enumerate()).map(|(i, r)| (i, r)) {
-            whole[sum].merge(record);
+        for (method, record) in self.cases.iter().flat_map(|(_, records)| records.iter().enumerate()) {
+            whole[method].merge(record);
         }
         let single = self.cases.iter().flat_map(|(case, records)| self.of_case(case, records));
         single.chain(self.of_case(ALL, &whole)).collect()
@@ -236,17 +239,13 @@ fn sampled_winner(
         }
     });
     // Ranked by these bounds, evaluated with their own arrival until none can be better.
-    let ratio_of = |rep: RepId, gain: f64| {
-        let mut members = foresight_scheduler::select::certified::closure(tree, &instance.standing, rep);
-        members.retain(|m| !plan.contains(*m));
-        gain / instance.link.cost(tree, &members).max(f64::MIN_POSITIVE)
-    };
+    let ratio_of = |members: &[RepId], gain: f64| gain / instance.link.cost(tree, members).max(f64::MIN_POSITIVE);
     let mut order: Vec<(f64, RepId)> = (0..gains.len() as u32)
         .map(RepId)
         .filter(|rep| gains[rep.index()] > 0.0)
         .map(|rep| {
-            let members = foresight_scheduler::select::certified::closure(tree, &instance.standing, rep);
-            (ratio_of(rep, members.iter().map(|m| gains[m.index()]).sum()), rep)
+            let members = closure(tree, &instance.standing, rep);
+            (ratio_of(&members, members.iter().map(|m| gains[m.index()]).sum()), rep)
         })
         .collect();
     order.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
@@ -256,7 +255,7 @@ fn sampled_winner(
         if best.is_some_and(|(ratio, _)| ratio >= bound) {
             break;
         }
-        let members = foresight_scheduler::select::certified::closure(tree, &instance.standing, rep);
+        let members = closure(tree, &instance.standing, rep);
         let bytes: u64 = members.iter().map(|&m| tree.wire_bytes(m)).sum();
         let offset = instance.link.arrival_of(bytes);
         let mut gain = 0.0;
@@ -267,7 +266,7 @@ fn sampled_winner(
         for &member in &members {
             hypothetical.remove(tree, member);
         }
-        let ratio = ratio_of(rep, gain);
+        let ratio = ratio_of(&members, gain);
         if ratio > 0.0 && best.is_none_or(|(r, _)| ratio > r) {
             best = Some((ratio, rep));
         }

@@ -1,8 +1,8 @@
 //! The added-benefit integral: every method and setting against the reference.
 
 use super::outcome::{ErrorRow, Kind, Splitting};
-use super::reference::reference;
 use super::record::{Answer, Record};
+use super::reference::reference;
 use super::scene::Scene;
 use super::statistics::{relative_error, share};
 use crate::stopwatch::Stopwatch;
