@@ -12,10 +12,12 @@
 //! exact because they only fall while the resident set grows. What failed is asked for again after a while that doubles
 //! with each failure.
 
+mod alpha;
 mod closure;
 mod retry;
 mod settings;
 
+pub use alpha::{AT_LEAST, AlphaReport, AlphaRule, Constraint};
 pub use settings::{Discards, ForesightSettings};
 
 use super::Policy;
@@ -30,6 +32,7 @@ use crate::select::horizon::{Horizon, HorizonSettings};
 use crate::state::{ClientState, Status};
 use crate::units::Time;
 use crate::view::View;
+use alpha::{Alpha, Sampled};
 use closure::{closure, common_ancestor, needed_by};
 use retry::Retries;
 use std::cmp::Ordering;
@@ -86,6 +89,7 @@ pub struct Foresight {
     settings: ForesightSettings,
     predictor: Box<dyn Predictor>,
     motion: Motion,
+    alpha: Alpha,
     horizon: Horizon,
     sampled: Option<Time>,
     /// Outstanding when the objective was sampled.
@@ -129,6 +133,7 @@ impl Foresight {
             settings,
             predictor,
             motion: Motion::default(),
+            alpha: Alpha::new(settings.alpha_rule, settings.alpha),
             horizon: Horizon::default(),
             sampled: None,
             queued_bytes: 0,
@@ -185,8 +190,10 @@ impl Foresight {
             paths.push(crate::predict::PredictedPath { weight: 1.0, views: vec![view; n] });
         }
         let region = s.reach.region(self.motion.percentile(), epsilon);
+        let (worst, cut, attenuation) = ([(1.0, view, region)], &s.cut, s.attenuation);
+        let sampled = Sampled { now, paths: &paths, offsets: &middles, worst: &worst, cut, attenuation };
         let horizon = HorizonSettings {
-            alpha: s.alpha,
+            alpha: self.alpha.at(state, &sampled),
             attenuation: s.attenuation,
             tolerance: (s.tolerance * self.typical_gain).clamp(TOLERANCES.0, TOLERANCES.1),
             cut: s.cut,
@@ -576,7 +583,8 @@ impl Policy for Foresight {
         &self.name
     }
 
-    fn observe(&mut self, _state: &ClientState, view: &View, now: Time) {
+    fn observe(&mut self, state: &ClientState, view: &View, now: Time) {
+        self.alpha.observe(state.tree, view, now);
         if self.motion.observe(view, now) {
             // A teleport: nothing sampled before it holds.
             self.sampled = None;
@@ -619,6 +627,10 @@ impl Policy for Foresight {
         self.plan = None;
         self.sampled = None;
         self.committed.clear();
+    }
+
+    fn alpha(&self) -> Option<AlphaReport> {
+        Some(self.alpha.report())
     }
 
     fn announce_path(&mut self, path: &[(Time, View)]) {
