@@ -4,6 +4,7 @@
 use crate::benefit::coverage::Refinement;
 use crate::lod_tree::{LodTree, RepId};
 use crate::policy::Policy;
+use crate::policy::foresight::AlphaReport;
 use crate::select::certified::Certificate;
 use crate::state::{ClientState, Status};
 use crate::transfer::TransferEstimate;
@@ -119,6 +120,11 @@ impl<'a> Scheduler<'a> {
     /// What is known about the client.
     pub fn state(&self) -> &ClientState<'a> {
         &self.state
+    }
+
+    /// What became of α so far, for a policy that has one.
+    pub fn alpha(&self) -> Option<AlphaReport> {
+        self.policy.alpha()
     }
 
     fn pass(&mut self, now: Time) -> Result<(), SchedulerError> {

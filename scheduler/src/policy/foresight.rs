@@ -12,6 +12,7 @@
 //! is evaluated again. What failed is asked for again after a while that doubles
 //! with each failure.
 
+mod alpha;
 mod certified;
 mod closure;
 mod context;
@@ -20,10 +21,12 @@ mod sampled;
 mod settings;
 mod worst;
 
+pub use alpha::{AT_LEAST, AlphaReport, AlphaRule, Constraint};
 pub use settings::{ChoiceMethod, Discards, ForesightSettings};
 
 use super::Policy;
 use crate::benefit::coverage::Refinement;
+use crate::benefit::cut::Region;
 use crate::lod_tree::RepId;
 use crate::predict::motion::Motion;
 use crate::predict::{PredictedPath, Predictor};
@@ -32,6 +35,7 @@ use crate::select::certified::Certificate;
 use crate::state::ClientState;
 use crate::units::Time;
 use crate::view::View;
+use alpha::Alpha;
 use certified::CertifiedChoice;
 use context::{Choice, Choose, Context, Lookahead};
 use retry::Retries;
@@ -52,6 +56,7 @@ pub struct Foresight {
     track: Vec<glam::DVec3>,
     /// Made at the first decision, when the client's refinement is known.
     method: Option<Box<dyn Choose>>,
+    alpha: Alpha,
     sampled: Option<Time>,
     /// Outstanding when the objective was sampled.
     queued_bytes: u64,
@@ -82,6 +87,7 @@ impl Foresight {
             motion: Motion::default(),
             track: Vec::new(),
             method: None,
+            alpha: Alpha::new(settings.alpha_rule, settings.alpha),
             sampled: None,
             queued_bytes: 0,
             committed: VecDeque::new(),
@@ -110,8 +116,8 @@ impl Foresight {
     }
 
     /// The paths ahead from `view` at `now`, and what is reachable if they fail.
-    fn look_ahead(&self, state: &ClientState, view: View, now: Time) -> Lookahead {
-        let s = &self.settings;
+    fn look_ahead(&mut self, state: &ClientState, view: View, now: Time) -> Lookahead {
+        let s = self.settings;
         let typical = state.link.latency_s() + self.mean_fetch_bytes / state.link.rate();
         let epsilon = s.reuse_s.max(typical);
         let delta = s.horizon_s.max(4.0 * epsilon);
@@ -123,8 +129,15 @@ impl Foresight {
             paths.push(PredictedPath { weight: 1.0, views: vec![view; n] });
         }
         let (tree, plan, speeds) = (state.tree, state.planned(), self.motion.percentile());
-        let (region, worst_views) = worst::sampled(s, tree, plan, &view, speeds, epsilon, &self.track);
-        Lookahead { paths, bounds, view, region, worst_views }
+        let (region, worst_views) = worst::sampled(&s, tree, plan, &view, speeds, epsilon, &self.track);
+        let worst: Vec<_> = match &worst_views {
+            None => vec![(1.0, view, region)],
+            Some(views) => views.iter().map(|&(weight, view)| (weight, view, Region::Frustum)).collect(),
+        };
+        let (cut, attenuation) = (&s.cut, s.attenuation);
+        let prospect = alpha::Sampled { now, paths: &paths, offsets: &middles, worst: &worst, cut, attenuation };
+        let alpha = self.alpha.at(state, &prospect);
+        Lookahead { alpha, paths, bounds, view, region, worst_views }
     }
 
     fn decide_with(&mut self, method: &mut dyn Choose, state: &ClientState, now: Time) -> Action {
@@ -187,7 +200,8 @@ impl Policy for Foresight {
         &self.name
     }
 
-    fn observe(&mut self, _state: &ClientState, view: &View, now: Time) {
+    fn observe(&mut self, state: &ClientState, view: &View, now: Time) {
+        self.alpha.observe(state.tree, view, now);
         if self.motion.observe(view, now) {
             // A teleport: nothing sampled before it holds.
             self.sampled = None;
@@ -234,6 +248,10 @@ impl Policy for Foresight {
         }
         self.sampled = None;
         self.committed.clear();
+    }
+
+    fn alpha(&self) -> Option<AlphaReport> {
+        Some(self.alpha.report())
     }
 
     fn announce_path(&mut self, path: &[(Time, View)]) {

@@ -137,6 +137,11 @@ pub trait Policy: Send {
     /// A request or its decoding failed.
     fn failed(&mut self, _state: &ClientState, _rep: RepId, _now: Time) {}
 
+    /// What became of α, for a policy that has one.
+    fn alpha(&self) -> Option<foresight::AlphaReport> {
+        None
+    }
+
     /// The client has said where it will go.
     fn announce_path(&mut self, _path: &[(Time, View)]) {}
 

@@ -202,7 +202,7 @@ impl CertifiedChoice {
 impl Choose for CertifiedChoice {
     fn sample(&mut self, cx: &Context, ahead: &Lookahead) {
         let s = cx.settings;
-        let settings = ObjectiveSettings { alpha: s.alpha, attenuation: s.attenuation, cut: s.cut };
+        let settings = ObjectiveSettings { alpha: ahead.alpha, attenuation: s.attenuation, cut: s.cut };
         self.objective.make(cx.state.tree, &ahead.paths, &ahead.bounds, ahead.worst(), &settings);
         self.restarted = false;
         self.residents.sampled();

@@ -53,6 +53,8 @@ impl Context<'_, '_> {
 
 /// The time ahead, as the objective samples it.
 pub(super) struct Lookahead {
+    /// α for this sampling.
+    pub(super) alpha: f64,
     /// A view an interval, at its middle.
     pub(super) paths: Vec<PredictedPath>,
     /// Ends of the intervals, seconds, ascending from 0.

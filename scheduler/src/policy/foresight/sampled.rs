@@ -90,7 +90,7 @@ impl Sampled {
     fn sample_with(&mut self, cx: &Context, plan: &Coverage, ahead: &Lookahead) {
         let (state, tree, s) = (cx.state, cx.state.tree, cx.settings);
         let horizon = HorizonSettings {
-            alpha: s.alpha,
+            alpha: ahead.alpha,
             attenuation: s.attenuation,
             tolerance: (s.grouping * self.typical_gain).clamp(TOLERANCES.0, TOLERANCES.1),
             cut: s.cut,

@@ -1,5 +1,6 @@
 //! Every constant of `foresight`, with its default, in one place.
 
+use super::AlphaRule;
 use crate::benefit::cut::CutSettings;
 use crate::predict::PredictorKind;
 use crate::worst_case::neighbourhood::NeighbourhoodKind;
@@ -28,8 +29,10 @@ pub enum ChoiceMethod {
 /// Every constant of the policy, with its default.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ForesightSettings {
-    /// α ∈ [0, 1]: trust in the prediction.
+    /// α ∈ [0, 1]: trust in the prediction; where it is solved for or adapted, at the start.
     pub alpha: f64,
+    /// Where α comes from.
+    pub alpha_rule: AlphaRule,
     /// δ₀, seconds: least span that the integral looks ahead.
     pub horizon_s: f64,
     /// D, seconds: evaluations are reused this long, and ε is at least this.
@@ -75,6 +78,7 @@ impl Default for ForesightSettings {
     fn default() -> ForesightSettings {
         ForesightSettings {
             alpha: 0.7,
+            alpha_rule: AlphaRule::Fixed,
             horizon_s: 4.0,
             reuse_s: 0.25,
             hysteresis: 0.1,

@@ -1,6 +1,6 @@
 //! The worst case as the policy samples it.
 
-use super::ForesightSettings;
+use super::{AlphaRule, ForesightSettings};
 use crate::benefit::coverage::Coverage;
 use crate::benefit::cut::Region;
 use crate::lod_tree::LodTree;
@@ -34,7 +34,8 @@ pub(super) fn sampled(
     let reach = &settings.reach;
     let free = reach.region(speeds, epsilon);
     let is_plain = settings.neighbourhood == NeighbourhoodKind::Free && reach.clearance_rate.is_none();
-    if settings.alpha >= 1.0 || is_plain && settings.worst_case == WorstCaseKind::Union {
+    let is_without = settings.alpha >= 1.0 && settings.alpha_rule == AlphaRule::Fixed;
+    if is_without || is_plain && settings.worst_case == WorstCaseKind::Union {
         return (free, None);
     }
     let made = reach
