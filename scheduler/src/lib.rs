@@ -55,6 +55,7 @@
 
 pub mod benefit;
 pub mod estimate;
+pub mod integral;
 pub mod lod_tree;
 pub mod policy;
 pub mod predict;

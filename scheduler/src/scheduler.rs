@@ -4,6 +4,8 @@
 use crate::benefit::coverage::Refinement;
 use crate::lod_tree::{LodTree, RepId};
 use crate::policy::Policy;
+use crate::policy::foresight::AlphaReport;
+use crate::select::certified::Certificate;
 use crate::setting::SettingError;
 use crate::state::{ClientState, Status, smallest_closure};
 use crate::transfer::{TransferEstimate, check_guesses};
@@ -188,6 +190,11 @@ impl<'a> Scheduler<'a> {
         self.state.heap_bytes()
     }
 
+    /// What became of α so far, for a policy that has one.
+    pub fn alpha(&self) -> Option<AlphaReport> {
+        self.policy.alpha()
+    }
+
     fn pass(&mut self, now: Time) -> Result<(), SchedulerError> {
         if now < self.latest {
             return Err(SchedulerError::Time { now, latest: self.latest });
@@ -347,6 +354,11 @@ impl<'a> Scheduler<'a> {
             }
         }
         Some(Waiting::NothingGains)
+    }
+
+    /// What is proven about the policy's last choice, if it proves something.
+    pub fn certificate(&self) -> Option<Certificate> {
+        self.policy.certificate()
     }
 
     fn refusal(&self, what: &'static str, rep: RepId) -> SchedulerError {

@@ -115,6 +115,7 @@ rivals! {
 
 use crate::lod_tree::{LodTree, RepId};
 use crate::scheduler::Action;
+use crate::select::certified::Certificate;
 use crate::setting::{SettingError, within};
 use crate::state::ClientState;
 use crate::units::Time;
@@ -137,8 +138,18 @@ pub trait Policy: Send {
     /// A request or its decoding failed.
     fn failed(&mut self, _state: &ClientState, _rep: RepId, _now: Time) {}
 
+    /// What became of α, for a policy that has one.
+    fn alpha(&self) -> Option<foresight::AlphaReport> {
+        None
+    }
+
     /// The client has said where it will go.
     fn announce_path(&mut self, _path: &[(Time, View)]) {}
+
+    /// What is proven about the last choice, by a policy that proves something.
+    fn certificate(&self) -> Option<Certificate> {
+        None
+    }
 }
 
 /// A policy of another viewer or paper, as a comparison offers it.
