@@ -180,6 +180,7 @@ fn completed(mut command: Vec<String>, args: &SuiteArgs) -> Vec<String> {
             command.extend([option.to_owned(), value]);
         }
     }
+    command.push("--limits".to_owned());
     command
 }
 

@@ -7,6 +7,7 @@ mod metric;
 mod number;
 mod page;
 mod plot;
+mod prices;
 mod suite;
 mod table;
 
