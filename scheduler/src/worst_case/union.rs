@@ -20,7 +20,7 @@ use crate::benefit::cut::{Region, Widened};
 use crate::benefit::frustum::{Frustum, Side};
 use crate::estimate::Certified;
 use crate::lod_tree::{LodTree, NodeId, RepId};
-use core::f64::consts::FRAC_PI_2;
+use core::f64::consts::{FRAC_PI_2, PI};
 use glam::DVec3;
 
 /// How hard to look.
@@ -28,7 +28,7 @@ use glam::DVec3;
 pub struct UnionSettings {
     /// Gap asked for, relative to the value, or to 10⁻⁴ of the whole scaled weight if that is more.
     pub tolerance: f64,
-    /// Nodes looked at, at most.
+    /// Nodes looked at, at most; checked between groups.
     pub evaluations_max: u32,
     /// Distances are at least this, metres, and at least the stand-off.
     pub near: f64,
@@ -180,7 +180,7 @@ impl<'a> Scene<'a> {
         // It was rendered looking along (x, y, z): seen best from the other side.
         let towards_eye = -DVec3::new(axis(code / 9), axis(code / 3 % 3), axis(code % 3)).normalize_or_zero();
         let distance = seen.centre.length();
-        let apart = |radius: f64| if radius < distance { libm::asin(radius / distance) } else { core::f64::consts::PI };
+        let apart = |radius: f64| if radius < distance { libm::asin(radius / distance) } else { PI };
         let angle =
             if distance > 0.0 { libm::acos((-seen.centre / distance).dot(towards_eye).clamp(-1.0, 1.0)) } else { 0.0 };
         let most = angle + apart(self.reach + seen.radius);
@@ -211,7 +211,10 @@ impl<'a> Scene<'a> {
             let importance = tree.importance(node);
             Interval { lo: importance * omega.lo, hi: importance * omega.hi }
         } else {
-            group_solid_angle(centre, half, tree.face_areas(node))
+            let omega = group_solid_angle(centre, half, tree.face_areas(node));
+            // From within, at most 4π for each of them; finite, so that nothing times it is nothing.
+            let count = f64::from(tree.subtree_end(node).0 - node.0);
+            Interval { lo: omega.lo, hi: omega.hi.min(4.0 * PI * f64::from(f32::MAX) * count) }
         };
         if !is_inside && !is_leaf {
             weight.lo = 0.0;
@@ -248,7 +251,7 @@ impl<'a> Scene<'a> {
             let spread = |o: &Open| {
                 let off = (o.item.share.hi - mean).abs().max((o.item.share.lo - mean).abs());
                 let spread = o.item.weight.width() * off + o.item.weight.hi * o.item.share.width();
-                if spread.is_nan() { 0.0 } else { spread.min(4.0 * omega) }
+                spread.min(4.0 * omega)
             };
             let mut groups: Vec<(f64, usize)> = open
                 .iter()
@@ -273,6 +276,9 @@ impl<'a> Scene<'a> {
             let mut chosen: Vec<usize> = count.map(|g| g.1).collect();
             chosen.sort_unstable();
             for &index in chosen.iter().rev() {
+                if evaluations >= settings.evaluations_max {
+                    break;
+                }
                 let parent = open.swap_remove(index);
                 for child in tree.children(parent.node) {
                     evaluations = evaluations.saturating_add(1);
