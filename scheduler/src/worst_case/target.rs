@@ -126,7 +126,7 @@ impl Targets {
             }
             let (areas, importance) = (tree.face_areas(node), tree.importance(node));
             // What weighs nothing from anywhere is left out.
-            if !(importance > 0.0 || !tree.is_leaf(node)) || (is_far && areas == DVec3::ZERO) {
+            if importance <= 0.0 && tree.is_leaf(node) || is_far && areas == DVec3::ZERO {
                 made.parts.truncate(first as usize);
                 continue;
             }
