@@ -3,7 +3,7 @@
 use crate::flight::{Flight, tick_time};
 use crate::link::LinkTrace;
 use foresight_scheduler::lod_tree::LodTree;
-use foresight_scheduler::policy::foresight::{Discards, Foresight, ForesightSettings};
+use foresight_scheduler::policy::foresight::{ChoiceMethod, Discards, Foresight, ForesightSettings};
 use foresight_scheduler::policy::{Policy, RIVALS, Rival, RivalSettings, added_benefit};
 use foresight_scheduler::predict::{PredictedPath, Predictor, PredictorKind, known_path::KnownPath};
 use foresight_scheduler::units::Time;
@@ -72,7 +72,8 @@ pub enum PolicySpecError {
 }
 
 const OBJECTIVE_OPTIONS: &str = "alpha, predictor, discards, arrival, cover, horizon, reuse, hysteresis, attenuation, \
-                                 samples, opening, falloff, tolerance, slack, turn-rate, speed, request-cost, worst, neighbourhood or clearance";
+                                 samples, opening, falloff, choice, tolerance, grouping, slack, turn-rate, speed, request-cost, \
+                                 worst, neighbourhood or clearance";
 
 impl PolicySpec {
     /// Parses a list separated by commas, in which `all` stands for every name. `alpha` is the default of those that have one; `error_target_px`
@@ -150,7 +151,15 @@ impl PolicySpec {
             "samples" => s.samples = number(1.0, 256.0, "a count from 1 to 256")? as usize,
             "opening" => s.cut.opening = number(0.0, 2.0, "an angle from 0 to 2")?,
             "falloff" => s.cut.centre_falloff = number(0.0, 100.0, "a number from 0 to 100")?,
-            "tolerance" => s.tolerance = number(0.0, 1.0, "a solid angle from 0 to 1")?,
+            "choice" => {
+                s.choice = if switch("certified", "sampled", "certified or sampled")? {
+                    ChoiceMethod::Certified
+                } else {
+                    ChoiceMethod::Sampled
+                }
+            }
+            "tolerance" => s.tolerance = number(0.0, 1.0, "a share from 0 to 1")?,
+            "grouping" => s.grouping = number(0.0, 1.0, "a share from 0 to 1")?,
             "turn-rate" | "speed" => {
                 let mut speeds = s.reach.declared.unwrap_or_default();
                 let value = number(0.0, 1e6, "a speed in rad/s or m/s from 0 to 1000000")?;

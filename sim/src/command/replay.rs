@@ -33,7 +33,7 @@ const BUILT_IN_STARTS: u32 = 4;
     foresight-sim replay --policy foresight,foresight:alpha=1:predictor=true-path,clairvoyant\n  foresight-sim replay --error-target best --link constant:5Mbit,40ms\n\n\
     A policy takes options after colons:\n  foresight, added-benefit, clairvoyant: alpha, predictor (constant-velocity, constant-turn, kalman, mixture, known-path,\n    \
     true-path), discards (planned, lru), arrival (on, off), cover (on, off), horizon, reuse, hysteresis, attenuation, samples,\n    \
-    opening, falloff, tolerance, slack, turn-rate and speed (declared, rad/s and m/s), request-cost\n  the rivals: target (pixels, where it has one), parallel"
+    opening, falloff, choice (certified, sampled), tolerance, grouping, slack, turn-rate and speed (declared, rad/s and m/s), request-cost\n  the rivals: target (pixels, where it has one), parallel"
 )]
 pub(crate) struct ReplayArgs {
     /// A world directory, tileset.json, elevation grid (.npz, GeoTIFF), or a generated world by its parameters:

@@ -15,6 +15,16 @@ pub enum Discards {
     LeastRecentlyUsed,
 }
 
+/// How the best closure is found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ChoiceMethod {
+    /// By branch and bound ([`crate::select::certified`]); sampled under atomic refinement.
+    #[default]
+    Certified,
+    /// By one pass over the patches of every predicted view ([`crate::select::horizon`]).
+    Sampled,
+}
+
 /// Every constant of the policy, with its default.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ForesightSettings {
@@ -34,9 +44,13 @@ pub struct ForesightSettings {
     pub samples: usize,
     /// How the cuts are made: opening angle, near plane, centre weighting κ.
     pub cut: CutSettings,
-    /// Groups are opened until what could be gained beneath is this share of the gain of a typical choice. Where every
-    /// choice is worth much, little things are not looked at; where only little things are left, they are.
+    /// How choices are made.
+    pub choice: ChoiceMethod,
+    /// Share of the best ratio that a certified choice may miss.
     pub tolerance: f64,
+    /// Sampled choice: groups are opened until what could be gained beneath is this share of a typical gain. Where every
+    /// choice is worth much, little things are not looked at; where only little things are left, they are.
+    pub grouping: f64,
     /// Limits of the client's motion.
     pub reach: Reach,
     /// How the client moves: what it could reach if the prediction fails.
@@ -68,7 +82,9 @@ impl Default for ForesightSettings {
             request_cost_s: 0.0,
             samples: 4,
             cut: CutSettings { opening: 0.3, near: 0.1, centre_falloff: 0.0 },
-            tolerance: 0.1,
+            choice: ChoiceMethod::Certified,
+            tolerance: 1e-3,
+            grouping: 0.1,
             reach: Reach::default(),
             neighbourhood: NeighbourhoodKind::Free,
             worst_case: WorstCaseKind::Union,
