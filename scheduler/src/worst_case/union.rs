@@ -16,7 +16,7 @@ use super::neighbourhood::Neighbourhood;
 use super::{COORDINATE_MAX, WorstCaseError, within};
 use crate::benefit::accuracy::{accuracy, sharpness};
 use crate::benefit::coverage::{Coverage, Refinement};
-use crate::benefit::cut::{Region, Widened};
+use crate::benefit::cut::{CutSettings, Eye, Region};
 use crate::benefit::frustum::{Frustum, Side};
 use crate::estimate::Certified;
 use crate::lod_tree::{LodTree, NodeId, RepId};
@@ -120,20 +120,22 @@ struct Scene<'a> {
     tree: &'a LodTree,
     neighbourhood: &'a Neighbourhood,
     frustum: Frustum,
-    angle: f64,
+    /// Tells whether the region meets a box.
+    eye: Eye,
     reach: f64,
     floor: f64,
 }
 
 impl<'a> Scene<'a> {
     fn new(tree: &'a LodTree, neighbourhood: &'a Neighbourhood, settings: &UnionSettings) -> Scene<'a> {
-        let frustum = Frustum::new(neighbourhood.view());
-        let (angle, reach) = match neighbourhood.region() {
-            Region::Reachable { angle, reach, .. } => (angle, reach),
-            Region::Frustum => (0.0, 0.0),
+        let region = neighbourhood.region();
+        let reach = match region {
+            Region::Reachable { reach, .. } => reach,
+            Region::Frustum => 0.0,
         };
+        let eye = Eye::new(neighbourhood.view(), region, &CutSettings::default());
         let floor = settings.near.max(neighbourhood.stand_off());
-        Scene { tree, neighbourhood, frustum, angle, reach, floor }
+        Scene { tree, neighbourhood, frustum: Frustum::new(neighbourhood.view()), eye, reach, floor }
     }
 
     fn accuracy_at(&self, error: f64, distance: f64) -> f64 {
@@ -194,7 +196,7 @@ impl<'a> Scene<'a> {
         let (centre, half) = (tree.centre(node) - self.frustum.eye, tree.half(node));
         let side = match was_inside {
             true => Side::Inside,
-            false => Widened::new(&self.frustum, self.angle, self.reach).side(centre, half),
+            false => self.eye.side(centre, half),
         };
         if side == Side::Outside {
             return None;
