@@ -24,13 +24,8 @@ fn ring() -> LodTree {
         let centre = DVec3::new(20.0 * libm::sin(angle), 0.0, 20.0 * libm::cos(angle));
         builder.open().unwrap();
         let bytes = 100_000;
-        let rep = Representation {
-            wire_bytes: bytes,
-            decoded_bytes: bytes,
-            error: 0.0,
-            prerequisite: None,
-            direction: None,
-        };
+        let rep =
+            Representation { wire_bytes: bytes, decoded_bytes: bytes, error: 0.0, prerequisite: None, direction: None };
         builder.add(rep).unwrap();
         let half = DVec3::new(2.5, 8.0, 2.5);
         builder.close(Some(Aabb { min: centre - half, max: centre + half }), 1.0).unwrap();
