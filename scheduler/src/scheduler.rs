@@ -5,6 +5,7 @@ use crate::benefit::coverage::Refinement;
 use crate::lod_tree::{LodTree, RepId};
 use crate::policy::Policy;
 use crate::policy::foresight::AlphaReport;
+use crate::select::certified::Certificate;
 use crate::state::{ClientState, Status};
 use crate::transfer::TransferEstimate;
 use crate::units::Time;
@@ -257,6 +258,11 @@ impl<'a> Scheduler<'a> {
             Action::WaitUntil(_) => {}
         }
         Ok(action)
+    }
+
+    /// What is proven about the policy's last choice, if it proves something.
+    pub fn certificate(&self) -> Option<Certificate> {
+        self.policy.certificate()
     }
 
     fn refusal(&self, what: &'static str, rep: RepId) -> SchedulerError {

@@ -3,11 +3,15 @@
 use crate::flight::{Flight, tick_time};
 use crate::link::LinkTrace;
 use foresight_scheduler::lod_tree::LodTree;
-use foresight_scheduler::policy::foresight::{AT_LEAST, AlphaRule, Discards, Foresight, ForesightSettings};
+use foresight_scheduler::policy::foresight::{
+    AT_LEAST, AlphaRule, ChoiceMethod, Discards, Foresight, ForesightSettings,
+};
 use foresight_scheduler::policy::{Policy, RIVALS, Rival, RivalSettings, added_benefit};
 use foresight_scheduler::predict::{PredictedPath, Predictor, PredictorKind, known_path::KnownPath};
 use foresight_scheduler::units::Time;
 use foresight_scheduler::view::View;
+use foresight_scheduler::worst_case::WorstCaseKind;
+use foresight_scheduler::worst_case::neighbourhood::NeighbourhoodKind;
 use std::str::FromStr;
 
 /// Names in the order of the comparison: those that follow the objective around the rivals of [`RIVALS`].
@@ -116,7 +120,8 @@ pub enum PolicySpecError {
 }
 
 const OBJECTIVE_OPTIONS: &str = "alpha, at-least, watch, predictor, discards, arrival, cover, horizon, reuse, hysteresis, attenuation, \
-                                 samples, opening, falloff, tolerance, slack, turn-rate, speed or request-cost";
+                                 samples, opening, falloff, choice, tolerance, grouping, slack, turn-rate, speed, request-cost, \
+                                 worst, neighbourhood or clearance";
 
 impl PolicySpec {
     /// Parses a list separated by commas, in which `all` stands for every name. `alpha` is the default of those that have one; `error_target_px`
@@ -220,7 +225,15 @@ impl PolicySpec {
             "samples" => s.samples = number(1.0, 256.0, "a count from 1 to 256")? as usize,
             "opening" => s.cut.opening = number(0.0, 2.0, "an angle from 0 to 2")?,
             "falloff" => s.cut.centre_falloff = number(0.0, 100.0, "a number from 0 to 100")?,
-            "tolerance" => s.tolerance = number(0.0, 1.0, "a solid angle from 0 to 1")?,
+            "choice" => {
+                s.choice = if switch("certified", "sampled", "certified or sampled")? {
+                    ChoiceMethod::Certified
+                } else {
+                    ChoiceMethod::Sampled
+                }
+            }
+            "tolerance" => s.tolerance = number(0.0, 1.0, "a share from 0 to 1")?,
+            "grouping" => s.grouping = number(0.0, 1.0, "a share from 0 to 1")?,
             "turn-rate" | "speed" => {
                 let mut speeds = s.reach.declared.unwrap_or_default();
                 let value = number(0.0, 1e6, "a speed in rad/s or m/s from 0 to 1000000")?;
@@ -238,6 +251,15 @@ impl PolicySpec {
                     Discards::LeastRecentlyUsed
                 }
             }
+            "worst" => {
+                let known = WorstCaseKind::ALL.into_iter().find(|(name, _)| *name == value);
+                s.worst_case = known.ok_or_else(|| wrong("union or minimum"))?.1;
+            }
+            "neighbourhood" => {
+                let known = NeighbourhoodKind::ALL.into_iter().find(|(name, _)| *name == value);
+                s.neighbourhood = known.ok_or_else(|| wrong("free, walk, orbit or path"))?.1;
+            }
+            "clearance" => s.reach.clearance_rate = Some(number(0.0, 1e6, "a rate per second from 0 to 1000000")?),
             "predictor" if value == "true-path" => self.true_path = true,
             "predictor" => {
                 let known = PredictorKind::ALL.into_iter().find(|(name, _)| *name == value);
@@ -253,6 +275,14 @@ impl PolicySpec {
     /// The same policy aiming at another error.
     pub fn with_target(&self, px: f64) -> PolicySpec {
         PolicySpec { error_target_px: px, label: format!("{}:target={px}", self.label), ..self.clone() }
+    }
+
+    /// The reading of the worst case with the neighbourhood, for reports: `union`, `minimum (walk)`; `None` for rivals.
+    pub fn worst_case(&self) -> Option<String> {
+        let (reading, kind) = (self.settings.worst_case.name(), self.settings.neighbourhood);
+        let named =
+            if kind == NeighbourhoodKind::Free { reading.to_owned() } else { format!("{reading} ({})", kind.name()) };
+        rival(self.name).is_none().then_some(named)
     }
 
     /// Where α comes from, in a word; `None` where it is fixed, and for the rivals.

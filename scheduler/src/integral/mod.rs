@@ -13,6 +13,7 @@
 //! [`Sampler`] takes the same quadrature apart into nodes that serve any pair of errors.
 
 mod closed_form;
+mod enclosure;
 mod events;
 mod gauss_kronrod;
 mod gauss_legendre;
@@ -60,6 +61,15 @@ pub enum Method {
     },
     /// The antiderivative; only along straight segments where a group lies inside the view as a whole.
     ClosedForm,
+    /// Proven bounds, closing in by bisection.
+    Enclosure {
+        /// Width of the bounds at which it stops, relative to the value.
+        tolerance: f64,
+        /// Values below this, sr·s, count as this much.
+        floor: f64,
+        /// Most evaluations, finding events not counted; then the bounds are as wide as they are.
+        evaluations_max: u32,
+    },
     /// The default: what [`Sampler`] takes, with its own choice of pieces and nodes.
     #[default]
     Sampled,
@@ -106,6 +116,12 @@ pub fn integrate(benefit: &AddedBenefit, method: &Method) -> Result<Outcome, Int
             within("tolerance", tolerance, 0.0, 1.0, "0 to 1")?;
             count("evaluations_max", evaluations_max, 15, 1 << 24)?;
             gauss_kronrod::integrate(benefit, tolerance, evaluations_max)
+        }
+        Method::Enclosure { tolerance, floor, evaluations_max } => {
+            within("tolerance", tolerance, 0.0, 1.0, "0 to 1")?;
+            within("floor", floor, 0.0, f64::MAX, "a finite number ≥ 0")?;
+            count("evaluations_max", evaluations_max, 1, 1 << 24)?;
+            return Ok(Outcome::Certified(enclosure::integrate(benefit, tolerance, floor, evaluations_max)));
         }
         Method::ClosedForm => closed_form::integrate(benefit)?,
         Method::Sampled => sampler::integrate(benefit),

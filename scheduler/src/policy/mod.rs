@@ -115,6 +115,7 @@ rivals! {
 
 use crate::lod_tree::{LodTree, RepId};
 use crate::scheduler::Action;
+use crate::select::certified::Certificate;
 use crate::state::ClientState;
 use crate::units::Time;
 use crate::view::View;
@@ -143,6 +144,11 @@ pub trait Policy: Send {
 
     /// The client has said where it will go.
     fn announce_path(&mut self, _path: &[(Time, View)]) {}
+
+    /// What is proven about the last choice, by a policy that proves something.
+    fn certificate(&self) -> Option<Certificate> {
+        None
+    }
 }
 
 /// A policy of another viewer or paper, as a comparison offers it.

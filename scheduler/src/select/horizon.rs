@@ -61,6 +61,21 @@ pub struct HorizonSettings {
     pub cut: CutSettings,
 }
 
+/// The worst case, as a horizon samples it.
+#[derive(Clone, Copy, Debug)]
+pub enum Worst<'a> {
+    /// Everything in the region reachable from the view, as one cut.
+    Union(&'a View, Region),
+    /// Single reachable views, the worst ones; their weights sum to 1.
+    Views(&'a [(f64, View)]),
+}
+
+impl<'a> From<(&'a View, Region)> for Worst<'a> {
+    fn from((view, region): (&'a View, Region)) -> Worst<'a> {
+        Worst::Union(view, region)
+    }
+}
+
 /// The sampled objective from one moment on.
 #[derive(Clone, Debug, Default)]
 pub struct Horizon {
@@ -84,14 +99,15 @@ pub struct Chain {
 
 impl Horizon {
     /// Samples the objective. `bounds` are the ends of the intervals in seconds, ascending from 0; each of `paths` has a
-    /// view per interval, at its middle. `worst` is the view and the region reachable from it.
-    pub fn make(
+    /// view per interval, at its middle. `worst` is the view with the region reachable from it, or the worst reachable
+    /// views with their weights.
+    pub fn make<'a>(
         &mut self,
         tree: &LodTree,
         planned: &Coverage,
         paths: &[PredictedPath],
         bounds: &[f64],
-        worst: (&View, Region),
+        worst: impl Into<Worst<'a>>,
         settings: &HorizonSettings,
     ) {
         self.spare.extend(self.terms.drain(..).map(|t| t.cut));
@@ -110,9 +126,18 @@ impl Horizon {
             }
         }
         if settings.alpha < 1.0 {
-            let mut cut = self.spare.pop().unwrap_or_default();
-            union_cut(&mut cut, tree, worst.0, worst.1, &settings.cut);
-            self.add(tree, planned, cut, Span::Always, 1.0 - settings.alpha, settings);
+            let worst = worst.into();
+            let views = match worst {
+                Worst::Union(view, region) => &[(1.0, *view, region)][..],
+                Worst::Views(views) => {
+                    &views.iter().map(|(weight, view)| (*weight, *view, Region::Frustum)).collect::<Vec<_>>()
+                }
+            };
+            for (weight, view, region) in views {
+                let mut cut = self.spare.pop().unwrap_or_default();
+                union_cut(&mut cut, tree, view, *region, &settings.cut);
+                self.add(tree, planned, cut, Span::Always, (1.0 - settings.alpha) * weight, settings);
+            }
         }
         self.patches = self.terms.iter().map(|t| t.cut.patches.len()).sum();
     }

@@ -33,8 +33,9 @@ const BUILT_IN_STARTS: u32 = 4;
     foresight-sim replay --policy foresight,foresight:alpha=1:predictor=true-path,clairvoyant\n  foresight-sim replay --error-target best --link constant:5Mbit,40ms\n\n\
     A policy takes options after colons:\n  foresight, added-benefit, clairvoyant: alpha (0 to 1, adapted, or solved with at-least=Q), watch (on: W/Σw is measured), predictor (constant-velocity, constant-turn, kalman, mixture, known-path,\n    \
     true-path), discards (planned, lru), arrival (on, off), cover (on, off), horizon, reuse, hysteresis, attenuation, samples,\n    \
-    opening, falloff, tolerance, slack, turn-rate and speed (declared, rad/s and m/s), request-cost\n  the rivals: target (pixels, where it has one), parallel\n  \
-    foresight-adapted and foresight-solved, not in all, are foresight:alpha=adapted and foresight:alpha=solved"
+    opening, falloff, choice (certified, sampled), tolerance, grouping, slack, turn-rate and speed (declared, rad/s and m/s), request-cost,\n    \
+     worst (union, minimum), neighbourhood (free, walk, orbit, path), clearance\n  the rivals: target (pixels, where it has one), parallel\n  \
+     foresight-adapted and foresight-solved, not in all, are foresight:alpha=adapted and foresight:alpha=solved"
 )]
 pub(crate) struct ReplayArgs {
     /// A world directory, tileset.json, elevation grid (.npz, GeoTIFF), or a generated world by its parameters:
@@ -273,8 +274,9 @@ pub(crate) fn execute(args: &ReplayArgs, progress: &(dyn Fn(usize, usize) + Sync
             (Some(target), Vec::new())
         }
     };
-    let policies = PolicySpec::parse_list(&args.policy, args.alpha, target)?;
+    let mut policies = PolicySpec::parse_list(&args.policy, args.alpha, target)?;
     let Opened { link, path, world_name, world, placed } = open(args)?;
+    policies.iter_mut().for_each(|policy| policy.settings.reach.up = world.up);
 
     let count = args.starts.unwrap_or(if args.link.is_none() { BUILT_IN_STARTS } else { 1 });
     let base = SchedulerSettings::with_budget(0);
@@ -306,7 +308,7 @@ pub(crate) fn execute(args: &ReplayArgs, progress: &(dyn Fn(usize, usize) + Sync
         link: args.link.clone().unwrap_or_else(|| link.name().to_owned()),
         place: placed.place,
         alpha: args.alpha.alpha,
-        worst_case: "union".to_owned(),
+        worst_case: worst_cases(&plan.policies),
         refinement: format!("{:?}", args.refinement).to_lowercase(),
         announce_s: args.announce,
         head: args.path_args.head().map(str::to_owned),
@@ -325,6 +327,16 @@ pub(crate) fn execute(args: &ReplayArgs, progress: &(dyn Fn(usize, usize) + Sync
     comparison.warnings.extend(placed.notes.iter().map(|n| format!("path: {n}")));
     comparison.warnings.extend(link.notes().iter().map(|n| format!("link: {n}")));
     Ok(comparison)
+}
+
+/// The readings of the worst case; each policy with its own where they differ.
+fn worst_cases(policies: &[PolicySpec]) -> String {
+    let used: Vec<_> = policies.iter().filter_map(|p| Some((p.label.as_str(), p.worst_case()?))).collect();
+    match used.first() {
+        None => "none".to_owned(),
+        Some((_, first)) if used.iter().all(|(_, reading)| reading == first) => first.clone(),
+        Some(_) => used.iter().map(|(label, reading)| format!("{label}: {reading}")).collect::<Vec<_>>().join("; "),
+    }
 }
 
 /// Columns of the terminal, by COLUMNS; 120 where nothing says.

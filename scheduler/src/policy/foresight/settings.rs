@@ -3,7 +3,8 @@
 use super::AlphaRule;
 use crate::benefit::cut::CutSettings;
 use crate::predict::PredictorKind;
-use crate::worst_case::Reach;
+use crate::worst_case::neighbourhood::NeighbourhoodKind;
+use crate::worst_case::{Reach, WorstCaseKind};
 
 /// How room is made.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -13,6 +14,16 @@ pub enum Discards {
     Planned,
     /// By least recent use, whatever it costs (Teler & Lischinski plan none).
     LeastRecentlyUsed,
+}
+
+/// How the best closure is found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ChoiceMethod {
+    /// By branch and bound ([`crate::select::certified`]); sampled under atomic refinement.
+    #[default]
+    Certified,
+    /// By one pass over the patches of every predicted view ([`crate::select::horizon`]).
+    Sampled,
 }
 
 /// Every constant of the policy, with its default.
@@ -36,11 +47,21 @@ pub struct ForesightSettings {
     pub samples: usize,
     /// How the cuts are made: opening angle, near plane, centre weighting κ.
     pub cut: CutSettings,
-    /// Groups are opened until what could be gained beneath is this share of the gain of a typical choice. Where every
-    /// choice is worth much, little things are not looked at; where only little things are left, they are.
+    /// How choices are made.
+    pub choice: ChoiceMethod,
+    /// Share of the best ratio that a certified choice may miss.
     pub tolerance: f64,
+    /// Sampled choice: groups are opened until what could be gained beneath is this share of a typical gain. Where every
+    /// choice is worth much, little things are not looked at; where only little things are left, they are.
+    pub grouping: f64,
     /// Limits of the client's motion.
     pub reach: Reach,
+    /// How the client moves: what it could reach if the prediction fails.
+    pub neighbourhood: NeighbourhoodKind,
+    /// The reading of the worst case.
+    pub worst_case: WorstCaseKind,
+    /// Under `minimum`: samples of the covering set, of which the worst become terms of the objective.
+    pub worst_samples: usize,
     /// How room is made.
     pub discards: Discards,
     /// Whether a gain counts from the arrival of the bytes; otherwise from now.
@@ -65,8 +86,13 @@ impl Default for ForesightSettings {
             request_cost_s: 0.0,
             samples: 4,
             cut: CutSettings { opening: 0.3, near: 0.1, centre_falloff: 0.0 },
-            tolerance: 0.1,
+            choice: ChoiceMethod::Certified,
+            tolerance: 1e-3,
+            grouping: 0.1,
             reach: Reach::default(),
+            neighbourhood: NeighbourhoodKind::Free,
+            worst_case: WorstCaseKind::Union,
+            worst_samples: 16,
             discards: Discards::Planned,
             gains_from_arrival: true,
             cover_first: true,
