@@ -126,7 +126,11 @@ impl Beneath {
     /// For one representation of a node with these face areas.
     pub fn of(face_areas: [f32; 3], wire_bytes: u32, error: f32) -> Beneath {
         let per_byte = |area: f32| narrow_up(f64::from(area) / f64::from(wire_bytes));
-        Beneath { density: face_areas.map(per_byte), least_error: error, least_wire: narrow_down(f64::from(wire_bytes)) }
+        Beneath {
+            density: face_areas.map(per_byte),
+            least_error: error,
+            least_wire: narrow_down(f64::from(wire_bytes)),
+        }
     }
 
     fn pack(self) -> [u16; 5] {
@@ -359,8 +363,7 @@ impl LodTreeBuilder {
             // Of a leaf, the own representations are the last that were added.
             let end = self.tree.first_rep.get(index + 1).map_or(self.tree.rep_node.len(), |&end| end as usize);
             for rep in first..end {
-                let of =
-                    Beneath::of(self.tree.area[index], self.tree.rep_wire[rep], self.tree.rep_error[rep]);
+                let of = Beneath::of(self.tree.area[index], self.tree.rep_wire[rep], self.tree.rep_error[rep]);
                 *above = above.union(of);
             }
             *above = above.union(beneath);

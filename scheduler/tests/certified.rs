@@ -7,7 +7,8 @@ use foresight_scheduler::benefit::cut::{CutSettings, Region};
 use foresight_scheduler::lod_tree::{Aabb, LodTree, LodTreeBuilder, NodeId, RepId, Representation};
 use foresight_scheduler::predict::PredictedPath;
 use foresight_scheduler::select::certified::{
-    Ask, Instance, Link, Objective, ObjectiveSettings, Ranked, Search, Standing, Stop, certified_winner, exhaustive_winner,
+    Ask, Instance, Link, Objective, ObjectiveSettings, Ranked, Search, Standing, Stop, certified_winner,
+    exhaustive_winner,
 };
 use foresight_scheduler::view::View;
 use glam::DVec3;
@@ -199,8 +200,14 @@ fn the_winner_is_the_exhaustive_one() {
     for round in 0..rounds {
         let tree = match round % 3 {
             0 => random.tape(300).tree(24),
-            1 => { let leaves = 1 + random.below(12); world(&mut random, leaves) }
-            _ => { let leaves = 10 + random.below(90); world(&mut random, leaves) }
+            1 => {
+                let leaves = 1 + random.below(12);
+                world(&mut random, leaves)
+            }
+            _ => {
+                let leaves = 10 + random.below(90);
+                world(&mut random, leaves)
+            }
         };
         made += decide_all_along(&mut random, &tree, 10);
     }
@@ -297,12 +304,7 @@ fn coincident(count: usize, wire_bytes: impl Fn(usize) -> u32 + Copy) -> LodTree
 }
 
 fn ahead(tree: &LodTree) -> Objective {
-    let view = View {
-        position: DVec3::ZERO,
-        orientation: glam::DQuat::IDENTITY,
-        fov_y: 1.0,
-        viewport: [640, 480],
-    };
+    let view = View { position: DVec3::ZERO, orientation: glam::DQuat::IDENTITY, fov_y: 1.0, viewport: [640, 480] };
     let path = PredictedPath { weight: 1.0, views: vec![view] };
     let settings = ObjectiveSettings { alpha: 1.0, attenuation: 0.0, cut: CutSettings::default() };
     let mut objective = Objective::default();

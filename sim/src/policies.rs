@@ -206,7 +206,8 @@ impl PolicySpec {
     /// The reading of the worst case with the neighbourhood, for reports: `union`, `minimum (walk)`; `None` for rivals.
     pub fn worst_case(&self) -> Option<String> {
         let (reading, kind) = (self.settings.worst_case.name(), self.settings.neighbourhood);
-        let named = if kind == NeighbourhoodKind::Free { reading.to_owned() } else { format!("{reading} ({})", kind.name()) };
+        let named =
+            if kind == NeighbourhoodKind::Free { reading.to_owned() } else { format!("{reading} ({})", kind.name()) };
         rival(self.name).is_none().then_some(named)
     }
 

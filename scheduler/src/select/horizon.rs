@@ -129,7 +129,9 @@ impl Horizon {
             let worst = worst.into();
             let views = match worst {
                 Worst::Union(view, region) => &[(1.0, *view, region)][..],
-                Worst::Views(views) => &views.iter().map(|(weight, view)| (*weight, *view, Region::Frustum)).collect::<Vec<_>>(),
+                Worst::Views(views) => {
+                    &views.iter().map(|(weight, view)| (*weight, *view, Region::Frustum)).collect::<Vec<_>>()
+                }
             };
             for (weight, view, region) in views {
                 let mut cut = self.spare.pop().unwrap_or_default();

@@ -159,12 +159,14 @@ pub fn solid_angle(centre: DVec3, half: DVec3, spread: DVec3, radius: f64) -> In
             continue;
         }
         // From the nearest eye to the face.
-        let gap = DVec3::new(z.max(0.0) - spread[axis], outside[i] - spread[i], outside[j] - spread[j]).max(DVec3::ZERO);
+        let gap =
+            DVec3::new(z.max(0.0) - spread[axis], outside[i] - spread[i], outside[j] - spread[j]).max(DVec3::ZERO);
         let across = libm::hypot(outside[i].max(0.0), outside[j].max(0.0));
         let distance = libm::hypot(z.max(0.0), across);
         let nearest = gap.length().max(distance - radius);
         let area = 4.0 * half[i] * half[j];
-        let crude = if nearest > 0.0 { area * (z + spread[axis]) / (nearest * nearest * nearest) } else { f64::INFINITY };
+        let crude =
+            if nearest > 0.0 { area * (z + spread[axis]) / (nearest * nearest * nearest) } else { f64::INFINITY };
         let mut hi = if crude < 2.0 * PI { crude } else { 2.0 * PI };
         if z > spread[axis] {
             let across = (centre[i] - half[i], centre[i] + half[i]);

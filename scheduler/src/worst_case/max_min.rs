@@ -54,7 +54,13 @@ pub fn saturate(
 ) -> Result<Saturated, WorstCaseError> {
     within("budget", budget, 0.0, f64::MAX, "a cost, not negative")?;
     within("tolerance", tolerance, f64::MIN_POSITIVE, f64::MAX, "more than 0")?;
-    within("missing deficits", missing.len() as f64, family.functions() as f64, family.functions() as f64, "one a function")?;
+    within(
+        "missing deficits",
+        missing.len() as f64,
+        family.functions() as f64,
+        family.functions() as f64,
+        "one a function",
+    )?;
     for &one in missing {
         within("deficit", one, 0.0, f64::MAX, "a number, not negative")?;
     }

@@ -39,8 +39,7 @@ impl Default for MinimumSettings {
 
 impl MinimumSettings {
     /// Offline: 1 % of Σw, or some seconds.
-    pub const OFFLINE: MinimumSettings =
-        MinimumSettings { tolerance: 0.01, evaluations_max: 50_000_000, samples: 64 };
+    pub const OFFLINE: MinimumSettings = MinimumSettings { tolerance: 0.01, evaluations_max: 50_000_000, samples: 64 };
 
     fn check(&self) -> Result<(), WorstCaseError> {
         within("tolerance", self.tolerance, 0.0, 1.0, "a share from 0 to 1")?;
@@ -63,10 +62,10 @@ pub struct Minimum {
 }
 
 impl Minimum {
-    /// The gap as a share of Σw; 0 if nothing is in view anywhere.
+    /// The gap as a share of Σw; in sr if nothing was in view at any view met.
     pub fn gap(&self) -> f64 {
         let gap = self.worth.gap();
-        if self.weight > 0.0 { gap / self.weight } else { f64::from(u8::from(gap > 0.0)) }
+        if self.weight > 0.0 { gap / self.weight } else { gap }
     }
 }
 
@@ -77,11 +76,7 @@ pub fn deficits(targets: &Targets, neighbourhood: &Neighbourhood, samples: usize
 }
 
 /// W by the covering set. The error is guessed as the largest difference between samples next to each other.
-pub fn sampled(
-    targets: &Targets,
-    neighbourhood: &Neighbourhood,
-    samples: usize,
-) -> Result<Estimate, WorstCaseError> {
+pub fn sampled(targets: &Targets, neighbourhood: &Neighbourhood, samples: usize) -> Result<Estimate, WorstCaseError> {
     within("samples", samples as f64, 1.0, 1e6, "a count from 1 to 10⁶")?;
     let found = deficits(targets, neighbourhood, samples);
     let largest = found.iter().map(|(_, d)| d.deficit).fold(0.0, f64::max);

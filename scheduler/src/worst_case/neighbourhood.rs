@@ -3,12 +3,12 @@
 //! | kind | eye | orientation q′ |
 //! |---|---|---|
 //! | free | ball of ϑε | q·exp(a·X + b·Y), ‖(a, b)‖ ≤ ωε: forward anywhere in a cone of ωε, roll kept |
-//! | walking | horizontal disc of ϑε, height within a step | Ry(a)·q·Rx(b), \|a\| ≤ ωε, \|b\| ≤ ωε, pitch limited |
+//! | walking | horizontal disc of ϑε, height within a step | U(a)·q·exp(b·X), \|a\| ≤ ωε, \|b\| ≤ ωε, pitch limited |
 //! | orbiting | t + s·Q·(p − t): on the shell around t, s within ϑε of the distance | Q·q: t stays where it is on the screen |
 //! | path-bound | along a polyline, ϑε of its length either way (\[RAIL\] §3) | as free |
 //!
-//! X, Y, Z are the camera's axes, +y is up in the world. Q = Ry(a)·R(side, b) with the horizontal axis `side` across the
-//! line of sight to t, |a| and |b| at most min(ϑε/distance, ωε). Two rotations exp(a), exp(b) differ by at most ‖a − b‖ (Hartley
+//! X, Y, Z are the camera's axes, U(a) turns by a about the world's up. Q = U(a)·R(side, b) with the horizontal axis `side`
+//! across the line of sight to t, |a| and |b| at most min(ϑε/distance, ωε). Two rotations exp(a), exp(b) differ by at most ‖a − b‖ (Hartley
 //! and Kahl 2009, lemma 4), two products by at most the sum of the differences: so boxes of coordinates become cones.
 
 use super::view_box::{DIMENSIONS, ViewBox, Views};
@@ -61,10 +61,25 @@ impl NeighbourhoodKind {
 #[derive(Clone, Debug, PartialEq)]
 enum Shape {
     Free,
-    Walking { step: f64, pitch: (f64, f64) },
-    Orbiting { target: DVec3, side: DVec3, distance: f64, arc: (f64, f64), tilt: (f64, f64), nearer: f64 },
+    Walking {
+        up: DVec3,
+        east: DVec3,
+        step: f64,
+        pitch: (f64, f64),
+    },
+    Orbiting {
+        target: DVec3,
+        up: DVec3,
+        side: DVec3,
+        distance: f64,
+        arc: (f64, f64),
+        tilt: (f64, f64),
+        nearer: f64,
+    },
     /// Corners of the reachable part of the path, each with its length from where the client is.
-    PathBound { corners: Vec<(f64, DVec3)> },
+    PathBound {
+        corners: Vec<(f64, DVec3)>,
+    },
 }
 
 /// The views reachable from one view.
@@ -86,6 +101,19 @@ pub struct Covering {
     pub radius_m: f64,
     /// and is turned by at most this, radians.
     pub radius_rad: f64,
+}
+
+/// A vector across `up`: of the coordinate axes that which is farthest from it, made perpendicular.
+fn east_of(up: DVec3) -> DVec3 {
+    let axes = [DVec3::X, DVec3::Y, DVec3::Z];
+    let axis = axes.into_iter().min_by(|a, b| a.dot(up).abs().total_cmp(&b.dot(up).abs())).unwrap_or(DVec3::X);
+    (axis - up * axis.dot(up)).normalize()
+}
+
+fn check_up(up: DVec3) -> Result<DVec3, WorstCaseError> {
+    check_point("up", up)?;
+    within("length of up", up.length(), 1.0 - 1e-6, 1.0 + 1e-6, "1 within 1e-6")?;
+    Ok(up.normalize())
 }
 
 fn check_view(view: &View) -> Result<(), WorstCaseError> {
@@ -115,28 +143,37 @@ impl Neighbourhood {
         Neighbourhood::new(view, reach, angle, Shape::Free)
     }
 
-    /// Of a client on the ground, whose height changes by at most `step` metres and whose view's centre stays within
+    /// Of a client on the ground, `up` a unit vector, whose height changes by at most `step` metres and whose view's centre stays within
     /// `pitch_max` of the horizon; a pitch already beyond may stay what it is.
     pub fn walking(
         view: View,
         reach: f64,
         angle: f64,
+        up: DVec3,
         step: f64,
         pitch_max: f64,
     ) -> Result<Neighbourhood, WorstCaseError> {
+        let up = check_up(up)?;
         within("step", step, 0.0, COORDINATE_MAX, "metres, not negative")?;
         within("pitch_max", pitch_max, 0.0, FRAC_PI_2, "radians from 0 to π/2")?;
         let mut made = Neighbourhood::new(view, reach, angle, Shape::Free)?;
-        let elevation = libm::asin(view.forward().y.clamp(-1.0, 1.0));
+        let elevation = libm::asin(view.forward().dot(up).clamp(-1.0, 1.0));
         let low = (-pitch_max - elevation).min(0.0).max(-made.angle);
         let high = (pitch_max - elevation).max(0.0).min(made.angle);
-        made.shape = Shape::Walking { step, pitch: (low, high) };
+        made.shape = Shape::Walking { up, east: east_of(up), step, pitch: (low, high) };
         Ok(made)
     }
 
     /// Of a client that orbits about `target`, whatever of it it looks at; it comes no closer than a hundredth of its
     /// distance, and the line of sight stays a degree off the vertical unless it is there already.
-    pub fn orbiting(view: View, target: DVec3, reach: f64, angle: f64) -> Result<Neighbourhood, WorstCaseError> {
+    pub fn orbiting(
+        view: View,
+        target: DVec3,
+        up: DVec3,
+        reach: f64,
+        angle: f64,
+    ) -> Result<Neighbourhood, WorstCaseError> {
+        let up = check_up(up)?;
         check_point("target", target)?;
         let mut made = Neighbourhood::new(view, reach, angle, Shape::Free)?;
         let arm = view.position - target;
@@ -149,14 +186,14 @@ impl Neighbourhood {
             });
         }
         let along = arm / distance;
-        let side = DVec3::Y.cross(along).try_normalize().unwrap_or(DVec3::X);
+        let side = up.cross(along).try_normalize().unwrap_or_else(|| east_of(up));
         let most = (reach / distance).min(made.angle);
         // Turning by b about `side` lowers the eye by b.
-        let elevation = libm::asin(along.y.clamp(-1.0, 1.0));
+        let elevation = libm::asin(along.dot(up).clamp(-1.0, 1.0));
         let pole = FRAC_PI_2 - PI / 180.0;
         let tilt = ((elevation - pole).min(0.0).max(-most), (elevation + pole).max(0.0).min(most));
         let nearer = reach.min(0.99 * distance);
-        made.shape = Shape::Orbiting { target, side, distance, arc: (-most, most), tilt, nearer };
+        made.shape = Shape::Orbiting { target, up, side, distance, arc: (-most, most), tilt, nearer };
         Ok(made)
     }
 
@@ -251,7 +288,7 @@ impl Neighbourhood {
         let (reach, angle) = (self.reach, self.angle);
         let sides = match &self.shape {
             Shape::Free => [span(-reach, reach); 3].into_iter().chain([span(-angle, angle); 2]).collect::<Vec<_>>(),
-            Shape::Walking { step, pitch } => vec![
+            Shape::Walking { step, pitch, .. } => vec![
                 span(-reach, reach),
                 span(-step, *step),
                 span(-reach, reach),
@@ -314,12 +351,13 @@ impl Neighbourhood {
         let turned = || (q * DQuat::from_scaled_axis(DVec3::new(at[3], at[4], 0.0))).normalize();
         match &self.shape {
             Shape::Free => (self.view.position + DVec3::new(at[0], at[1], at[2]), turned()),
-            Shape::Walking { .. } => {
-                let turned = DQuat::from_rotation_y(at[3]) * q * DQuat::from_rotation_x(at[4]);
-                (self.view.position + DVec3::new(at[0], at[1], at[2]), turned.normalize())
+            Shape::Walking { up, east, .. } => {
+                let turned = DQuat::from_axis_angle(*up, at[3]) * q * DQuat::from_rotation_x(at[4]);
+                let moved = *east * at[0] + *up * at[1] + up.cross(*east) * at[2];
+                (self.view.position + moved, turned.normalize())
             }
-            Shape::Orbiting { target, side, distance, .. } => {
-                let turn = DQuat::from_rotation_y(at[0]) * DQuat::from_axis_angle(*side, at[1]);
+            Shape::Orbiting { target, up, side, distance, .. } => {
+                let turn = DQuat::from_axis_angle(*up, at[0]) * DQuat::from_axis_angle(*side, at[1]);
                 let arm = (self.view.position - target) * ((distance + at[2]) / distance);
                 (target + turn * arm, (turn * q).normalize())
             }
@@ -336,10 +374,12 @@ impl Neighbourhood {
         views.turn = libm::hypot(h[3], h[4]);
         match &self.shape {
             Shape::Free => {
-                views.radius = views.radius.min(self.reach + DVec3::new(part.mid[0], part.mid[1], part.mid[2]).length());
+                views.radius =
+                    views.radius.min(self.reach + DVec3::new(part.mid[0], part.mid[1], part.mid[2]).length());
                 views.turn = views.turn.min(self.angle + libm::hypot(part.mid[3], part.mid[4]));
             }
-            Shape::Walking { step, .. } => {
+            Shape::Walking { up, east, step, .. } => {
+                views.half = east.abs() * h[0] + up.abs() * h[1] + up.cross(*east).abs() * h[2];
                 let flat = libm::hypot(h[0], h[2]).min(self.reach + libm::hypot(part.mid[0], part.mid[2]));
                 views.radius = libm::hypot(flat, h[1].min(*step));
                 views.turn = h[3] + h[4];
@@ -384,29 +424,34 @@ impl Neighbourhood {
         let looks = |turned: DVec3| turned.z.abs() <= 1e-6 && turned.length() <= self.angle + 1e-6;
         match &self.shape {
             Shape::Free => moved.length() <= self.reach + slack && looks(turned),
-            Shape::Walking { step, pitch } => {
-                let flat = libm::hypot(moved.x, moved.z);
+            Shape::Walking { up, east, step, pitch } => {
+                let height = moved.dot(*up);
+                let flat = (moved - *up * height).length();
                 let (before, after) = (self.view.orientation * DVec3::X, view.orientation * DVec3::X);
-                let azimuth = |v: DVec3| libm::atan2(-v.z, v.x);
+                let azimuth = |v: DVec3| libm::atan2(v.dot(up.cross(*east)), v.dot(*east));
                 let yaw = libm::remainder(azimuth(after) - azimuth(before), 2.0 * PI);
-                let rest = (DQuat::from_rotation_y(yaw) * self.view.orientation).conjugate() * view.orientation;
+                let rest = (DQuat::from_axis_angle(*up, yaw) * self.view.orientation).conjugate() * view.orientation;
                 let rest = crate::predict::motion::rotation_vector(rest);
-                let pitched = libm::hypot(rest.y, rest.z) <= 1e-6 && rest.x >= pitch.0 - 1e-6 && rest.x <= pitch.1 + 1e-6;
-                flat <= self.reach + slack && moved.y.abs() <= step + slack && yaw.abs() <= self.angle + 1e-6 && pitched
+                let pitched =
+                    libm::hypot(rest.y, rest.z) <= 1e-6 && rest.x >= pitch.0 - 1e-6 && rest.x <= pitch.1 + 1e-6;
+                flat <= self.reach + slack && height.abs() <= step + slack && yaw.abs() <= self.angle + 1e-6 && pitched
             }
-            Shape::Orbiting { target, side, distance, arc, tilt, nearer } => {
+            Shape::Orbiting { target, up, side, distance, arc, tilt, nearer } => {
                 let arm = view.position - target;
                 let length = arm.length();
                 if length < distance - nearer - slack || length > distance + self.reach + slack {
                     return false;
                 }
                 let before = (self.view.position - target) / distance;
-                let elevation = |v: DVec3| libm::asin(v.y.clamp(-1.0, 1.0));
-                let azimuth = |v: DVec3| libm::atan2(v.x, v.z);
+                let east = east_of(*up);
+                let elevation = |v: DVec3| libm::asin(v.dot(*up).clamp(-1.0, 1.0));
+                let azimuth = |v: DVec3| libm::atan2(v.dot(up.cross(east)), v.dot(east));
                 let b = elevation(before) - elevation(arm / length);
                 let a = libm::remainder(azimuth(arm) - azimuth(before), 2.0 * PI);
-                let turn = DQuat::from_rotation_y(a) * DQuat::from_axis_angle(*side, b);
-                let off = crate::predict::motion::rotation_vector((turn * self.view.orientation).conjugate() * view.orientation);
+                let turn = DQuat::from_axis_angle(*up, a) * DQuat::from_axis_angle(*side, b);
+                let off = crate::predict::motion::rotation_vector(
+                    (turn * self.view.orientation).conjugate() * view.orientation,
+                );
                 off.length() <= 1e-6
                     && (arc.0 - 1e-6..=arc.1 + 1e-6).contains(&a)
                     && (tilt.0 - 1e-6..=tilt.1 + 1e-6).contains(&b)
@@ -460,10 +505,13 @@ impl Neighbourhood {
             let sample = self.sample(part);
             // Projecting the middle onto the convex ball or disc brings it no farther from what lies within; along a path
             // the middle of the box need not be on it.
-            covering.radius_m = covering.radius_m.max(views.radius + match self.shape {
-                Shape::PathBound { .. } => sample.position.distance(views.eye),
-                _ => 0.0,
-            });
+            covering.radius_m = covering.radius_m.max(
+                views.radius
+                    + match self.shape {
+                        Shape::PathBound { .. } => sample.position.distance(views.eye),
+                        _ => 0.0,
+                    },
+            );
             covering.radius_rad = covering.radius_rad.max(views.turn);
             covering.views.push(sample);
         }
@@ -476,14 +524,18 @@ impl Neighbourhood {
         let gap = (centre.abs() - half).max(DVec3::ZERO);
         match &self.shape {
             Shape::Free => (gap.length() - self.reach).max(0.0),
-            Shape::Walking { step, .. } => {
-                libm::hypot((libm::hypot(gap.x, gap.z) - self.reach).max(0.0), (gap.y - step).max(0.0))
-            }
-            _ => self.pieces().map(|v| {
-                let gap = ((bounds.centre() - v.eye).abs() - half).max(DVec3::ZERO);
-                let boxed = (gap - v.half).max(DVec3::ZERO).length();
-                boxed.max(gap.length() - v.radius)
-            }).fold(f64::INFINITY, f64::min),
+            Shape::Walking { up, step, .. } => match along_axis(*up) {
+                Some(axis) => flat_and_high(gap, axis, self.reach, *step),
+                None => (gap.length() - libm::hypot(self.reach, *step)).max(0.0),
+            },
+            _ => self
+                .pieces()
+                .map(|v| {
+                    let gap = ((bounds.centre() - v.eye).abs() - half).max(DVec3::ZERO);
+                    let boxed = (gap - v.half).max(DVec3::ZERO).length();
+                    boxed.max(gap.length() - v.radius)
+                })
+                .fold(f64::INFINITY, f64::min),
         }
     }
 
@@ -493,9 +545,10 @@ impl Neighbourhood {
         let far = centre.abs() + half;
         match &self.shape {
             Shape::Free => (far.length() - self.reach).max(0.0),
-            Shape::Walking { step, .. } => {
-                libm::hypot((libm::hypot(far.x, far.z) - self.reach).max(0.0), (far.y - step).max(0.0))
-            }
+            Shape::Walking { up, step, .. } => match along_axis(*up) {
+                Some(axis) => flat_and_high(far, axis, self.reach, *step),
+                None => far.length(),
+            },
             _ => self
                 .pieces()
                 .map(|v| ((bounds.centre() - v.eye).abs() + half).length() + v.radius)
@@ -526,6 +579,17 @@ impl Neighbourhood {
         }
         parts.into_iter().map(|part| self.views(&part))
     }
+}
+
+/// The coordinate axis that `up` is, if it is one.
+fn along_axis(up: DVec3) -> Option<usize> {
+    (0..3).find(|&axis| up[axis].abs() == 1.0)
+}
+
+/// Distance from a cylinder of radius `reach` and half height `step` along `axis` to what is `off` from its middle.
+fn flat_and_high(off: DVec3, axis: usize, reach: f64, step: f64) -> f64 {
+    let flat = libm::hypot(off[(axis + 1) % 3], off[(axis + 2) % 3]);
+    libm::hypot((flat - reach).max(0.0), (off[axis] - step).max(0.0))
 }
 
 /// The point of a polyline at length `at`.

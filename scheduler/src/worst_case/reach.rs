@@ -23,6 +23,8 @@ pub struct Reach {
     /// The velocity limit that grows with emptiness (\[HIBR\] §3): the client moves at most this many times its distance
     /// from the nearest content a second, s⁻¹. `None` for a client without such a limit.
     pub clearance_rate: Option<f64>,
+    /// Unit vector away from the ground: what walking and orbiting clients keep to.
+    pub up: DVec3,
 }
 
 impl Default for Reach {
@@ -33,6 +35,7 @@ impl Default for Reach {
             stand_off: 0.5,
             declared: None,
             clearance_rate: None,
+            up: DVec3::Y,
         }
     }
 }
@@ -80,9 +83,9 @@ impl Reach {
         let made = match kind {
             NeighbourhoodKind::Free => Neighbourhood::free(*view, reach, angle),
             NeighbourhoodKind::Walk { step, pitch_max } => {
-                Neighbourhood::walking(*view, reach, angle, step.min(reach), pitch_max)
+                Neighbourhood::walking(*view, reach, angle, self.up, step.min(reach), pitch_max)
             }
-            NeighbourhoodKind::Orbit => Neighbourhood::orbiting(*view, tree.centre(tree.root()), reach, angle),
+            NeighbourhoodKind::Orbit => Neighbourhood::orbiting(*view, tree.centre(tree.root()), self.up, reach, angle),
             NeighbourhoodKind::Path => Neighbourhood::path_bound(*view, track, reach, angle),
         };
         made.map(|n| n.with_stand_off(self.stand_off))

@@ -2,7 +2,7 @@
 //! deficit over a set of views.
 //!
 //! A leaf has its exact solid angle in the frustum and the accuracy at its nearest point, a far group the projected
-//! areas of its leaves and the accuracy at its middle, as in [`crate::benefit::cut`]. A group is kept as one if it is far,
+//! areas of its leaves and the accuracy at its middle (a far leaf at its nearest point), as in [`crate::benefit::cut`]. A group is kept as one if it is far,
 //! by the opening angle, from every reachable eye: so the deficit is one continuous function over the neighbourhood, at
 //! each view at least as fine as the view's own cut. Opening 0 is the sum over leaves.
 
@@ -31,6 +31,7 @@ struct Target {
     /// ι; of a far group it is in the areas.
     importance: f64,
     is_far: bool,
+    is_leaf: bool,
     /// Into [`Targets::parts`]; a leaf has one.
     parts: Range<u32>,
 }
@@ -130,7 +131,8 @@ impl Targets {
                 continue;
             }
             let (centre, parts) = (tree.centre(node), first..made.parts.len() as u32);
-            made.targets.push(Target { node, centre, half, areas, importance, is_far, parts });
+            let is_leaf = tree.is_leaf(node);
+            made.targets.push(Target { node, centre, half, areas, importance, is_far, is_leaf, parts });
         }
         Ok(made)
     }
@@ -206,13 +208,14 @@ impl Targets {
             let share = share_inside(frustum, centre, target.half, DVec3::ZERO, 0.0, 0.0).hi;
             let projected = |areas: DVec3| areas.dot(centre.abs() / distance) / (distance * distance);
             let parts = &self.parts[target.parts.start as usize..target.parts.end as usize];
-            let wd: f64 = parts.iter().map(|p| projected(p.areas) * self.deficit_of(p.error, distance)).sum();
+            let looked_at = if target.is_leaf { nearest(centre, target.half) } else { distance };
+            let wd: f64 = parts.iter().map(|p| projected(p.areas) * self.deficit_of(p.error, looked_at)).sum();
             return (share * projected(target.areas), share * wd);
         }
         let omega = of_box_in_frustum(centre, target.half, frustum, 0b1111);
-        let distance = (centre.abs() - target.half).max(DVec3::ZERO).length();
         let weight = target.importance * omega;
-        (weight, weight * self.deficit_of(self.parts[target.parts.start as usize].error, distance))
+        let error = self.parts[target.parts.start as usize].error;
+        (weight, weight * self.deficit_of(error, nearest(centre, target.half)))
     }
 
     /// Weight and deficit of every target that some of the views may see, into `items`, its places into `live`. Only
@@ -249,7 +252,9 @@ impl Targets {
         if side == Seen::Never {
             return Item::default();
         }
-        if target.is_far { self.far_bounds(target, centre, side, views, lens) } else {
+        if target.is_far {
+            self.far_bounds(target, centre, side, views, lens)
+        } else {
             self.leaf_bounds(target, centre, side, views, lens, wide, narrow)
         }
     }
@@ -266,10 +271,17 @@ impl Targets {
             Seen::Always => Interval { lo: 1.0, hi: 1.0 },
             _ => share_inside(&lens.frustum, centre, target.half, views.half, views.radius, views.turn),
         };
+        let (mut looked_at, mut looked_from) = (nearest, farthest);
+        if target.is_leaf {
+            let outside = off - target.half;
+            let here = outside.max(DVec3::ZERO).length();
+            looked_at = (outside - views.half).max(DVec3::ZERO).length().max(here - views.radius);
+            looked_from = (outside + views.half).max(DVec3::ZERO).length().min(here + views.radius);
+        }
         let (mut most, mut least) = (0.0f64, 1.0f64);
         let (mut above, mut below) = (DVec3::ZERO, DVec3::ZERO);
         for part in &self.parts[target.parts.start as usize..target.parts.end as usize] {
-            let (d_hi, d_lo) = (self.deficit_of(part.error, nearest), self.deficit_of(part.error, farthest));
+            let (d_hi, d_lo) = (self.deficit_of(part.error, looked_at), self.deficit_of(part.error, looked_from));
             most = most.max(d_hi);
             least = least.min(d_lo);
             above += part.areas * d_hi;
@@ -349,6 +361,11 @@ impl Targets {
             share: sane(self.deficit_of(error, farthest) - 1e-15, self.deficit_of(error, nearest) + 1e-15, 1.0),
         }
     }
+}
+
+/// Distance to the nearest point of a box.
+fn nearest(centre: DVec3, half: DVec3) -> f64 {
+    (centre.abs() - half).max(DVec3::ZERO).length()
 }
 
 /// Greatest factor by which the integrand z/r³ of any front face grows between the middle and another eye; ∞ where a

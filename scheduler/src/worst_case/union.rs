@@ -181,7 +181,8 @@ impl<'a> Scene<'a> {
         let towards_eye = -DVec3::new(axis(code / 9), axis(code / 3 % 3), axis(code % 3)).normalize_or_zero();
         let distance = seen.centre.length();
         let apart = |radius: f64| if radius < distance { libm::asin(radius / distance) } else { core::f64::consts::PI };
-        let angle = if distance > 0.0 { libm::acos((-seen.centre / distance).dot(towards_eye).clamp(-1.0, 1.0)) } else { 0.0 };
+        let angle =
+            if distance > 0.0 { libm::acos((-seen.centre / distance).dot(towards_eye).clamp(-1.0, 1.0)) } else { 0.0 };
         let most = angle + apart(self.reach + seen.radius);
         let least = if seen.radius > 0.0 { angle - apart(seen.radius) } else { most };
         Interval { lo: stretched(most, seen.distance.lo), hi: stretched(least.max(0.0), seen.distance.hi) }
@@ -193,7 +194,7 @@ impl<'a> Scene<'a> {
         let (centre, half) = (tree.centre(node) - self.frustum.eye, tree.half(node));
         let side = match was_inside {
             true => Side::Inside,
-            false => Widened::new(&self.frustum, self.angle, self.reach).side(&self.frustum, centre, half),
+            false => Widened::new(&self.frustum, self.angle, self.reach).side(centre, half),
         };
         if side == Side::Outside {
             return None;
@@ -201,8 +202,7 @@ impl<'a> Scene<'a> {
         let is_leaf = tree.is_leaf(node);
         let bounds = tree.bounds(node);
         let nearest = self.neighbourhood.nearest(&bounds).max(self.floor);
-        let farthest =
-            if is_leaf { nearest } else { self.neighbourhood.nearest_at_most(&bounds).max(nearest) };
+        let farthest = if is_leaf { nearest } else { self.neighbourhood.nearest_at_most(&bounds).max(nearest) };
         let radius = if is_leaf { 0.0 } else { half.length() };
         let seen = Seen { distance: Interval { lo: nearest, hi: farthest }, centre, radius };
         let is_inside = side == Side::Inside;
@@ -236,7 +236,12 @@ impl<'a> Scene<'a> {
             let done = found.width() <= settings.tolerance * unit;
             if done || evaluations >= settings.evaluations_max {
                 let upper = found.hi.min(omega * (1.0 + 1e-12));
-                return Certified { value: value.clamp(found.lo.min(upper), upper), lower: found.lo.min(upper), upper, evaluations };
+                return Certified {
+                    value: value.clamp(found.lo.min(upper), upper),
+                    lower: found.lo.min(upper),
+                    upper,
+                    evaluations,
+                };
             }
             // Where the sum is scaled, what is like the mean matters least.
             let mean = if weight.hi > omega { value * scale(weight.lo.max(omega), omega) / omega } else { 0.0 };

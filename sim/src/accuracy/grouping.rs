@@ -1,8 +1,9 @@
 //! What grouping costs: gains by patches of an opening angle θ against gains leaf by leaf, under the same samples in time.
 
 use super::outcome::{ErrorRow, Kind};
+use super::record::Record;
 use super::situation::Situation;
-use super::statistics::{Quantiles, relative_error};
+use super::statistics::relative_error;
 use crate::random::SplitMix64;
 use crate::stopwatch::Stopwatch;
 use foresight_scheduler::benefit::accuracy::accuracy;
@@ -21,9 +22,7 @@ const TOLERANCE: f64 = 1e-7;
 pub struct Grouped {
     setting: String,
     is_default: bool,
-    errors: Vec<f64>,
-    nanos: u64,
-    patches: u64,
+    record: Record,
 }
 
 /// Sets each opening angle against leaf by leaf on `count` representations drawn by `seed` in each situation.
@@ -44,9 +43,7 @@ pub fn measure(
         .map(|&angle| Grouped {
             setting: format!("θ={angle}"),
             is_default: angle == settings.cut.opening,
-            errors: Vec::new(),
-            nanos: 0,
-            patches: 0,
+            record: Record::default(),
         })
         .collect();
     for (i, situation) in situations.iter().enumerate() {
@@ -60,48 +57,38 @@ pub fn measure(
             let watch = Stopwatch::start();
             let sampled = Sampled::new(tree, situation, settings, angle);
             let values = sampled.gains(tree, situation, &reps);
-            row.nanos += watch.nanos();
-            row.patches += sampled.horizon.patches() as u64 * reps.len() as u64;
-            row.errors.extend(values.iter().zip(&truth).map(|(v, t)| relative_error(*v, *t, best)));
+            row.record.nanos += watch.nanos();
+            row.record.evaluations += sampled.horizon.patches() as u64 * reps.len() as u64;
+            row.record.errors.extend(values.iter().zip(&truth).map(|(v, t)| relative_error(*v, *t, best)));
         }
     }
     rows
 }
 
 /// A row for `case`.
-pub fn row(case: &str, grouped: &Grouped) -> ErrorRow {
+pub fn row(case: &str, grouped: &Grouped) -> Option<ErrorRow> {
     rows_of(case, &[grouped])
 }
 
 /// A row an opening angle over all cases.
 pub fn over_all(cases: &[Vec<Grouped>]) -> Vec<ErrorRow> {
     let angles = cases.first().map_or(0, Vec::len);
-    (0..angles).map(|i| rows_of("all", &cases.iter().filter_map(|case| case.get(i)).collect::<Vec<_>>())).collect()
+    (0..angles)
+        .filter_map(|i| rows_of("all", &cases.iter().filter_map(|case| case.get(i)).collect::<Vec<_>>()))
+        .collect()
 }
 
 /// A row over several cases; all are of one setting.
-fn rows_of(case: &str, grouped: &[&Grouped]) -> ErrorRow {
-    let mut errors: Vec<f64> = grouped.iter().flat_map(|g| g.errors.iter().copied()).collect();
-    let count = errors.len().max(1) as f64;
-    let q = Quantiles::of(&mut errors);
-    ErrorRow {
-        case: case.to_owned(),
-        kind: Kind::Real,
-        reading: None,
+fn rows_of(case: &str, grouped: &[&Grouped]) -> Option<ErrorRow> {
+    let first = grouped.first()?;
+    let mut record = Record::default();
+    grouped.iter().for_each(|g| record.merge(&g.record));
+    Some(ErrorRow {
         method: "grouping".to_owned(),
-        setting: grouped.first().map_or_else(String::new, |g| g.setting.clone()),
-        certified: false,
-        default: grouped.first().is_some_and(|g| g.is_default),
-        candidates: errors.len() as u64,
-        evaluations: grouped.iter().map(|g| g.patches).sum::<u64>() as f64 / count,
-        ns_per_candidate: grouped.iter().map(|g| g.nanos).sum::<u64>() as f64 / count,
-        max_relative_error: q.max,
-        p999_relative_error: q.p999,
-        median_relative_error: q.median,
-        bound_violations: 0,
-        gap: None,
-        max_gap: None,
-    }
+        setting: first.setting.clone(),
+        default: first.is_default,
+        ..record.row(case, Kind::Real)?
+    })
 }
 
 /// The objective sampled for a situation, the predicted paths alone.

@@ -1,8 +1,10 @@
 //! The added-benefit integral: every method and setting against the reference.
 
 use super::outcome::{ErrorRow, Kind, Splitting};
+use super::record::{Answer, Record};
+use super::reference::reference;
 use super::scene::Scene;
-use super::statistics::{Quantiles, relative_error, share};
+use super::statistics::{relative_error, share};
 use crate::stopwatch::Stopwatch;
 use foresight_scheduler::estimate::Outcome;
 use foresight_scheduler::integral::{AddedBenefit, IntegralError, Method, integrate};
@@ -11,6 +13,9 @@ use std::collections::BTreeMap;
 
 /// Errors up to this share of the truth are rounding: no method is said to lie about less.
 const ROUNDING: f64 = 1e-13;
+
+/// Gains below this, sr·s, are enclosed as if they were this: 10⁻⁴ of a hundredth of a steradian for a second.
+const ENCLOSURE_FLOOR: f64 = 1e-6;
 
 /// The row over all scenes of a kind.
 const ALL: &str = "all";
@@ -72,20 +77,16 @@ fn tried() -> Vec<Tried> {
         add("gauss-kronrod", format!("tolerance=1e-{exponent}"), method, false, None);
     }
     add("closed-form", "–".to_owned(), Method::ClosedForm, false, None);
+    for (exponent, evaluations_max) in [(1, 200), (2, 400), (3, 1000), (6, 4000)] {
+        let tolerance = libm::pow(10.0, -f64::from(exponent));
+        let method = Method::Enclosure { tolerance, floor: ENCLOSURE_FLOOR, evaluations_max };
+        add("enclosure", format!("tolerance=1e-{exponent}"), method, true, None);
+    }
     add("sampled", "–".to_owned(), Method::Sampled, false, Some(true));
     all
 }
 
-/// What a rule answers for a candidate: the sum over its legs.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct Answer {
-    value: f64,
-    /// Proven bounds, or value ∓ error estimate; infinite where the rule says nothing.
-    lower: f64,
-    upper: f64,
-    evaluations: u64,
-}
-
+/// The sum over the legs of a candidate.
 fn answer(rule: Rule, legs: &[AddedBenefit]) -> Result<Answer, IntegralError> {
     let mut sum = Answer::default();
     for benefit in legs {
@@ -119,38 +120,16 @@ struct Truth {
     error: f64,
 }
 
-/// The sum over the legs.
+/// The sum over the legs, by the reference.
 fn truth(legs: &[AddedBenefit]) -> Result<Truth, IntegralError> {
     let mut sum = Truth::default();
     for benefit in legs {
-        if let Outcome::Estimate(e) = integrate(benefit, &Method::GaussLegendre { nodes: 8, panels: 32, split: true })?
-        {
-            sum.value += e.value;
-            sum.error += e.error_estimate;
-        }
+        let of_leg = reference(benefit)?;
+        sum.value += of_leg.value;
+        // The sum itself is rounded.
+        sum.error += of_leg.error + f64::EPSILON * sum.value.abs();
     }
     Ok(sum)
-}
-
-/// What a rule did in a case.
-#[derive(Clone, Debug, Default)]
-struct Record {
-    errors: Vec<f64>,
-    /// Width of the bounds, or twice the error estimate, relative as errors are.
-    gaps: Vec<f64>,
-    nanos: u64,
-    evaluations: u64,
-    violations: u64,
-}
-
-impl Record {
-    fn merge(&mut self, other: &Record) {
-        self.errors.extend(&other.errors);
-        self.gaps.extend(&other.gaps);
-        self.nanos += other.nanos;
-        self.evaluations += other.evaluations;
-        self.violations += other.violations;
-    }
 }
 
 /// Errors of every method and setting, scene by scene.
@@ -186,7 +165,7 @@ impl Integrals {
             let mut record = Record::default();
             for (answer, truth) in answers.into_iter().zip(&truths) {
                 match answer {
-                    Ok(answer) => record.count(tried, &answer, truth, best),
+                    Ok(answer) => enter(&mut record, tried, &answer, truth, best),
                     Err(IntegralError::NoClosedForm(_)) => {}
                     Err(error) => return Err(error),
                 }
@@ -211,26 +190,12 @@ impl Integrals {
 
     fn row(&self, case: &str, kind: Kind, index: usize, record: &Record) -> Option<ErrorRow> {
         let tried = &self.tried[index];
-        let count = record.errors.len();
-        let q = Quantiles::of(&mut record.errors.clone());
-        let gaps = Quantiles::of(&mut record.gaps.clone());
-        (count > 0).then(|| ErrorRow {
-            case: case.to_owned(),
-            kind,
-            reading: None,
+        Some(ErrorRow {
             method: tried.method.to_owned(),
             setting: tried.setting.clone(),
             certified: tried.certified,
             default: tried.rule == Rule::Of(Method::default()),
-            candidates: count as u64,
-            evaluations: record.evaluations as f64 / count as f64,
-            ns_per_candidate: record.nanos as f64 / count as f64,
-            max_relative_error: q.max,
-            p999_relative_error: q.p999,
-            median_relative_error: q.median,
-            bound_violations: record.violations,
-            gap: (!record.gaps.is_empty()).then_some(gaps.mean),
-            max_gap: (!record.gaps.is_empty()).then_some(gaps.max),
+            ..record.row(case, kind)?
         })
     }
 
@@ -276,19 +241,17 @@ impl Integrals {
 /// Error at which splitting is set against the fixed grid, if it is reached.
 const SPLIT_ERROR: f64 = 1e-3;
 
-impl Record {
-    fn count(&mut self, tried: &Tried, answer: &Answer, truth: &Truth, best: f64) {
-        self.errors.push(relative_error(answer.value, truth.value, best));
-        self.evaluations += answer.evaluations;
-        let width = answer.upper - answer.lower;
-        if width.is_finite() {
-            self.gaps.push(share(width, truth.value, best));
-        }
-        // Uncertified values are forgiven rounding, proven bounds are not.
-        let slack = truth.error + if tried.certified { 0.0 } else { ROUNDING * truth.value.abs() + f64::MIN_POSITIVE };
-        let holds = answer.lower <= truth.value + slack && truth.value - slack <= answer.upper;
-        self.violations += u64::from(!holds);
+/// Enters an answer of `tried` into `record`.
+fn enter(record: &mut Record, tried: &Tried, answer: &Answer, truth: &Truth, best: f64) {
+    record.errors.push(relative_error(answer.value, truth.value, best));
+    record.evaluations += answer.evaluations;
+    let width = answer.upper - answer.lower;
+    if width.is_finite() {
+        record.gaps.push(share(width, truth.value, best));
     }
+    // Uncertified values are forgiven rounding, proven bounds are not.
+    let slack = truth.error + if tried.certified { 0.0 } else { ROUNDING * truth.value.abs() + f64::MIN_POSITIVE };
+    record.violations += u64::from(!answer.meets(truth.value - slack, truth.value + slack));
 }
 
 impl Tried {

@@ -3,15 +3,19 @@
 //! Everything but nanoseconds follows from the seed. What is timed runs on one core, a method and setting at a time; the
 //! reference, which is not timed, runs on all.
 
+pub mod choice;
 pub mod findings;
 pub mod grouping;
 pub mod hard;
 pub mod integral;
 pub mod outcome;
+mod record;
+pub mod reference;
 pub mod scale;
 pub mod scene;
 pub mod situation;
 pub mod statistics;
+pub mod worst_case;
 
 /// The stream of numbers from which candidates are drawn.
 pub use crate::random::SplitMix64 as Draws;

@@ -47,6 +47,10 @@ pub struct Situation {
     pub middles: Vec<PredictedPath>,
     /// The same paths, a view at the end of each interval: the ends of their legs.
     pub ends: Vec<PredictedPath>,
+    /// As `bounds` and `middles`, with eight times as many intervals: a fine quadrature.
+    pub fine: (Vec<f64>, Vec<PredictedPath>),
+    /// Seconds until the first byte of a request made now would have come.
+    pub first_byte_s: f64,
     /// Seconds until a typical request made now would have come.
     pub arrival_s: f64,
     /// ε, seconds.
@@ -58,6 +62,9 @@ pub struct Situation {
     /// Memory left, bytes.
     pub free_bytes: u64,
 }
+
+/// Intervals of the fine quadrature for each of those that decisions use.
+const FINER: usize = 8;
 
 /// Replays `foresight` and keeps `count` situations at equal spacing; the first lies one spacing after the start, so that
 /// there is motion to predict from.
@@ -118,10 +125,12 @@ impl Probe {
         let bounds: Vec<f64> = (0..=n).map(|i| delta_s * i as f64 / n as f64).collect();
         let predict = |offsets: &[f64]| {
             let paths = self.predictor.predict(now, offsets);
-            if paths.is_empty() { vec![PredictedPath { weight: 1.0, views: vec![view; n] }] } else { paths }
+            if paths.is_empty() { vec![PredictedPath { weight: 1.0, views: vec![view; offsets.len()] }] } else { paths }
         };
         let middles = predict(&bounds.windows(2).map(|w| 0.5 * (w[0] + w[1])).collect::<Vec<_>>());
         let ends = predict(&bounds[1..]);
+        let fine: Vec<f64> = (0..=FINER * n).map(|i| delta_s * i as f64 / (FINER * n) as f64).collect();
+        let fine_middles = predict(&fine.windows(2).map(|w| 0.5 * (w[0] + w[1])).collect::<Vec<_>>());
         let queued = state.outstanding_bytes() as f64 + self.mean_fetch_bytes;
         let situation = Situation {
             at: now,
@@ -130,6 +139,8 @@ impl Probe {
             bounds,
             middles,
             ends,
+            fine: (fine, fine_middles),
+            first_byte_s: state.link.latency_s() + state.outstanding_bytes() as f64 / state.link.rate(),
             arrival_s: (state.link.latency_s() + queued / state.link.rate()).min(0.9 * delta_s),
             epsilon_s,
             region: s.reach.region(self.motion.percentile(), epsilon_s),

@@ -276,8 +276,9 @@ pub(crate) fn execute(args: &ReplayArgs, progress: &(dyn Fn(usize, usize) + Sync
             (Some(target), Vec::new())
         }
     };
-    let policies = PolicySpec::parse_list(&args.policy, args.alpha, target)?;
+    let mut policies = PolicySpec::parse_list(&args.policy, args.alpha, target)?;
     let Opened { link, path, world_name, world, placed } = open(args)?;
+    policies.iter_mut().for_each(|policy| policy.settings.reach.up = world.up);
 
     let count = args.starts.unwrap_or(if args.link.is_none() { BUILT_IN_STARTS } else { 1 });
     let base = SchedulerSettings::with_budget(0);
@@ -309,7 +310,7 @@ pub(crate) fn execute(args: &ReplayArgs, progress: &(dyn Fn(usize, usize) + Sync
         link: args.link.clone().unwrap_or_else(|| link.name().to_owned()),
         place: placed.place,
         alpha: args.alpha,
-        worst_case: "union".to_owned(),
+        worst_case: worst_cases(&plan.policies),
         refinement: format!("{:?}", args.refinement).to_lowercase(),
         announce_s: args.announce,
         head: args.path_args.head().map(str::to_owned),
@@ -328,6 +329,16 @@ pub(crate) fn execute(args: &ReplayArgs, progress: &(dyn Fn(usize, usize) + Sync
     comparison.warnings.extend(placed.notes.iter().map(|n| format!("path: {n}")));
     comparison.warnings.extend(link.notes().iter().map(|n| format!("link: {n}")));
     Ok(comparison)
+}
+
+/// The readings of the worst case; each policy with its own where they differ.
+fn worst_cases(policies: &[PolicySpec]) -> String {
+    let used: Vec<_> = policies.iter().filter_map(|p| Some((p.label.as_str(), p.worst_case()?))).collect();
+    match used.first() {
+        None => "none".to_owned(),
+        Some((_, first)) if used.iter().all(|(_, reading)| reading == first) => first.clone(),
+        Some(_) => used.iter().map(|(label, reading)| format!("{label}: {reading}")).collect::<Vec<_>>().join("; "),
+    }
 }
 
 /// Columns of the terminal, by COLUMNS; 120 where nothing says.

@@ -190,8 +190,7 @@ impl CertifiedChoice {
         let wire: u64 = members.iter().map(|&m| tree.wire_bytes(m)).sum();
         let offset = ask.link.arrival_of(wire);
         let (search, residents) = (&mut self.search, &mut self.residents);
-        let chosen =
-            residents.choose(ask, search, standing, &replaced, bytes, offset, limit, planned, &may_go);
+        let chosen = residents.choose(ask, search, standing, &replaced, bytes, offset, limit, planned, &may_go);
         for &member in members.iter().rev() {
             standing.remove(tree, member);
         }
@@ -272,14 +271,15 @@ impl Choose for CertifiedChoice {
             }
             let ratio = best.map_or(0.0, |b| b.ratio);
             let offset = ask.link.first_byte_s;
-            first_pointless(cx, |rep, seconds| {
-                this.search.marginal(ask, standing, rep, offset) / seconds < 0.1 * ratio
-            })
+            first_pointless(cx, |rep, seconds| this.search.marginal(ask, standing, rep, offset) / seconds < 0.1 * ratio)
         })
     }
 
     fn choose(&mut self, cx: &Context) -> Option<Choice> {
-        debug_assert!(cx.state.planned().refinement() == Refinement::Partial, "sibling groups are for the sampled choice");
+        debug_assert!(
+            cx.state.planned().refinement() == Refinement::Partial,
+            "sibling groups are for the sampled choice"
+        );
         self.with_ask(cx, |this, ask, standing| {
             if (cx.state.free_bytes() as f64) < WATCHED_BELOW * cx.state.budget as f64 {
                 this.residents.turn(ask, standing, ask.link.first_byte_s);

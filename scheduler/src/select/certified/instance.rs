@@ -1,9 +1,9 @@
 //! One choice by itself, certified and exhaustive: what the comparison of methods and the tests call.
 
+use super::Certificate;
 use super::objective::Objective;
 use super::search::{Ask, Link, Search, Stop};
 use super::standing::Standing;
-use super::Certificate;
 use crate::lod_tree::{LodTree, RepId};
 
 /// A choice to be made: what is planned, the objective, and the link.

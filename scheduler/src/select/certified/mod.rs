@@ -47,7 +47,13 @@ impl Certificate {
     /// Of a choice with this ratio when no candidate exceeds `upper`.
     pub fn of(ratio: f64, upper: f64) -> Certificate {
         let upper = upper.max(ratio).max(0.0);
-        let regret = if upper > 0.0 && upper.is_finite() { (upper - ratio) / upper } else if upper > 0.0 { 1.0 } else { 0.0 };
+        let regret = if upper > 0.0 && upper.is_finite() {
+            (upper - ratio) / upper
+        } else if upper > 0.0 {
+            1.0
+        } else {
+            0.0
+        };
         Certificate { ratio_lower: ratio, ratio_upper: upper, regret, ..Certificate::default() }
     }
 }

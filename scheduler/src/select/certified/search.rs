@@ -164,7 +164,8 @@ pub struct Search {
 
 /// What must be fetched for `rep` to be of use under partial refinement, in order: missing prerequisites first.
 pub fn closure(tree: &LodTree, standing: &Standing, rep: RepId) -> Vec<RepId> {
-    let missing = core::iter::successors(Some(rep), |&r| tree.prerequisite(r)).take_while(|r| !standing.plan().contains(*r));
+    let missing =
+        core::iter::successors(Some(rep), |&r| tree.prerequisite(r)).take_while(|r| !standing.plan().contains(*r));
     let mut members: Vec<RepId> = missing.collect();
     members.reverse();
     members
@@ -293,9 +294,10 @@ impl Search {
     fn is_touched(&self, tree: &LodTree, members: &[RepId], seen: usize) -> bool {
         let changed = &self.changes[seen.min(self.changes.len())..];
         !changed.is_empty()
-            && members.iter().map(|&m| tree.node_of(m)).any(|node| {
-                changed.iter().any(|&other| tree.is_beneath(node, other) || tree.is_beneath(other, node))
-            })
+            && members
+                .iter()
+                .map(|&m| tree.node_of(m))
+                .any(|node| changed.iter().any(|&other| tree.is_beneath(node, other) || tree.is_beneath(other, node)))
     }
 
     fn open(&mut self, ask: &Ask, standing: &Standing, below: Below) {

@@ -1,0 +1,114 @@
+//! The added-benefit integral against its reference in double-double: the enclosure holds, on ordinary candidates and on
+//! stiff and extreme ones.
+
+use foresight_scheduler::benefit::cut::CutSettings;
+use foresight_scheduler::estimate::{Certified, Outcome};
+use foresight_scheduler::integral::{AddedBenefit, Leg, Method, Target, integrate};
+use foresight_scheduler::view::View;
+use foresight_sim::accuracy::reference::reference;
+use glam::{DQuat, DVec3};
+
+/// Random numbers from a seed (SplitMix64).
+struct SplitMix64(u64);
+
+impl SplitMix64 {
+    fn unit(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+    }
+}
+
+fn within(random: &mut SplitMix64, low: f64, high: f64) -> f64 {
+    low + (high - low) * random.unit()
+}
+
+fn log(random: &mut SplitMix64, low: f64, high: f64) -> f64 {
+    libm::exp(within(random, libm::log(low), libm::log(high)))
+}
+
+fn vector(random: &mut SplitMix64, size: f64) -> DVec3 {
+    DVec3::new(within(random, -size, size), within(random, -size, size), within(random, -size, size))
+}
+
+/// A candidate such as a scheduler meets: a camera that walks, drives or flies, a box or a group somewhere ahead.
+fn candidate(random: &mut SplitMix64) -> AddedBenefit {
+    let orientation = DQuat::from_scaled_axis(vector(random, 2.0));
+    let fov_y = within(random, 0.3, 1.6);
+    let start = View { position: vector(random, 100.0), orientation, fov_y, viewport: [1920, 1080] };
+    let velocity = vector(random, 1.0) * log(random, 0.01, 100.0);
+    let rotation = if random.unit() < 0.4 { DVec3::ZERO } else { vector(random, 1.0) * log(random, 0.001, 3.0) };
+    let from_s = within(random, 0.0, 2.0);
+    let leg = Leg::new(&start, velocity, rotation, from_s, from_s + log(random, 0.01, 2.0)).unwrap();
+    let size = log(random, 0.1, 30.0);
+    let half = DVec3::new(random.unit(), random.unit(), random.unit()) * size;
+    let far = log(random, 1.0, 100.0) * size;
+    let aside = vector(random, 0.7) * far;
+    let centre = start.position + orientation * DVec3::new(aside.x, aside.y, -far);
+    let target = if random.unit() < 0.5 {
+        Target::leaf(centre, half, log(random, 0.1, 10.0)).unwrap()
+    } else {
+        Target::group(centre, half, DVec3::new(random.unit(), random.unit(), random.unit()) * size * size).unwrap()
+    };
+    let before = if random.unit() < 0.3 { f64::INFINITY } else { log(random, 1e-3, 10.0) * size };
+    let after = if random.unit() < 0.1 { 0.0 } else { before.min(10.0 * size) * within(random, 0.01, 0.9) };
+    let centre_falloff = if random.unit() < 0.2 { within(random, 0.0, 4.0) } else { 0.0 };
+    let attenuation = if random.unit() < 0.2 { within(random, 0.0, 2.0) } else { 0.0 };
+    let cut = CutSettings { centre_falloff, ..CutSettings::default() };
+    AddedBenefit { leg, target, after, before, arrival_s: from_s, cut, attenuation }
+}
+
+fn enclosed(benefit: &AddedBenefit, tolerance: f64, evaluations_max: u32) -> Certified {
+    match integrate(benefit, &Method::Enclosure { tolerance, floor: 1e-12, evaluations_max }).unwrap() {
+        Outcome::Certified(certified) => certified,
+        Outcome::Estimate(_) => unreachable!("an enclosure is certified"),
+    }
+}
+
+/// The bounds hold, up to what the reference itself may be off by.
+fn holds(benefit: &AddedBenefit, certified: &Certified) -> Result<(), String> {
+    let truth = reference(benefit).unwrap();
+    if certified.lower - truth.error <= truth.value && truth.value <= certified.upper + truth.error {
+        return Ok(());
+    }
+    Err(format!("{certified:?}\n{truth:?}\n{benefit:?}"))
+}
+
+#[test]
+fn measure() {
+    let mut random = SplitMix64(7);
+    let n = 2000;
+    let (mut bad, mut gaps, mut widths) = (0, Vec::new(), Vec::new());
+    let mut t = [0.0f64; 2];
+    for i in 0..n {
+        let benefit = candidate(&mut random);
+        #[allow(clippy::disallowed_methods)]
+        let t0 = std::time::Instant::now();
+        let truth = reference(&benefit).unwrap();
+        t[0] += t0.elapsed().as_secs_f64();
+        let t0 = std::time::Instant::now();
+        let c = enclosed(&benefit, 1e-6, 20000);
+        t[1] += t0.elapsed().as_secs_f64();
+        gaps.push(truth.error / truth.value.abs().max(1e-12));
+        widths.push(c.gap() / truth.value.abs().max(1e-12));
+        if let Err(e) = holds(&benefit, &c) {
+            bad += 1;
+            if bad < 6 {
+                println!("{i} {e}");
+            }
+        }
+    }
+    gaps.sort_by(f64::total_cmp);
+    widths.sort_by(f64::total_cmp);
+    println!(
+        "bad {bad} ref err p50 {:e} p99 {:e} max {:e}; widths p50 {:e} p99 {:e} max {:e}; s {t:?}",
+        gaps[n / 2],
+        gaps[n * 99 / 100],
+        gaps[n - 1],
+        widths[n / 2],
+        widths[n * 99 / 100],
+        widths[n - 1]
+    );
+    assert_eq!(bad, 0);
+}
