@@ -194,7 +194,7 @@ impl<'a> Scene<'a> {
         let (centre, half) = (tree.centre(node) - self.frustum.eye, tree.half(node));
         let side = match was_inside {
             true => Side::Inside,
-            false => Widened::new(&self.frustum, self.angle, self.reach).side(centre, half),
+            false => Widened::new(&self.frustum, self.angle, self.reach).side(&self.frustum, centre, half),
         };
         if side == Side::Outside {
             return None;
