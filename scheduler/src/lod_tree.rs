@@ -4,6 +4,7 @@
 //! everything beneath the node. The arrays are flat and in preorder: the subtree of a node is one interval of ids,
 //! so whatever is kept per node can be summed, searched and refreshed by slices.
 
+use crate::view::POSITION_MAX;
 use glam::{DVec3, Vec3};
 
 /// A node of the tree, by its place in preorder; the root is 0.
@@ -159,7 +160,7 @@ pub enum LodTreeError {
     #[error("node {0} has neither children nor content bounds")]
     LeafWithoutBounds(u32),
     /// A box has a corner that is NaN or infinite, or is inside out.
-    #[error("node {node} has the bounds {min} to {max}; expected finite corners in order")]
+    #[error("node {node} has the bounds {min} to {max}; expected corners in order, within ±1e30 m")]
     Bounds {
         /// The node.
         node: u32,
@@ -331,7 +332,7 @@ impl LodTreeBuilder {
             return Err(LodTreeError::Importance { node, importance });
         }
         if let Some(own) = content {
-            if own.is_empty() || !own.min.is_finite() || !own.max.is_finite() {
+            if own.is_empty() || !is_within_reach(own.min) || !is_within_reach(own.max) {
                 return Err(LodTreeError::Bounds { node, min: own.min, max: own.max });
             }
             bounds = bounds.union(own);
@@ -398,6 +399,11 @@ impl LodTreeBuilder {
         }
         Ok(self.tree)
     }
+}
+
+/// Whether a corner is finite and as near as a view can be.
+fn is_within_reach(corner: DVec3) -> bool {
+    corner.is_finite() && corner.abs().max_element() <= POSITION_MAX
 }
 
 /// The one place where world sizes are narrowed to f32: upwards, so that a box never shrinks.

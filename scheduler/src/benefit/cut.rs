@@ -10,6 +10,7 @@ use super::accuracy::sharpness;
 use super::frustum::{Frustum, Side};
 use super::{solid_angle, weight};
 use crate::lod_tree::{LodTree, NodeId};
+use crate::setting::{SettingError, within};
 use crate::view::View;
 use glam::DVec3;
 
@@ -27,6 +28,15 @@ pub struct CutSettings {
 impl Default for CutSettings {
     fn default() -> CutSettings {
         CutSettings { opening: 0.15, near: 0.1, centre_falloff: 0.0 }
+    }
+}
+
+impl CutSettings {
+    /// Refuses what no weight could be computed with, naming the field.
+    pub fn check(&self) -> Result<(), SettingError> {
+        within("opening", self.opening, (0.0, 1e12), "radians from 0 to 1e12")?;
+        within("near", self.near, (1e-30, 1e30), "metres from 1e-30 to 1e30")?;
+        within("centre_falloff", self.centre_falloff, (0.0, 1e12), "a number from 0 to 1e12")
     }
 }
 

@@ -32,6 +32,7 @@ use crate::predict::motion::Motion;
 use crate::predict::{PredictedPath, Predictor};
 use crate::scheduler::Action;
 use crate::select::certified::Certificate;
+use crate::setting::SettingError;
 use crate::state::ClientState;
 use crate::units::Time;
 use crate::view::View;
@@ -71,6 +72,12 @@ impl Foresight {
     /// The policy under `name`.
     pub fn new(name: impl Into<String>, settings: ForesightSettings) -> Foresight {
         Foresight::with_predictor(name, settings, settings.predictor.build())
+    }
+
+    /// As [`Foresight::new`]; refuses settings that no decision could be made with.
+    pub fn checked(name: impl Into<String>, settings: ForesightSettings) -> Result<Foresight, SettingError> {
+        settings.check()?;
+        Ok(Foresight::new(name, settings))
     }
 
     /// With a predictor of one's own: the simulator's `clairvoyant` knows the true path.
@@ -127,6 +134,10 @@ impl Foresight {
         let mut paths = self.predictor.predict(now, &middles);
         if paths.is_empty() {
             paths.push(PredictedPath { weight: 1.0, views: vec![view; n] });
+        }
+        // A predictor of one's own may go astray.
+        for astray in paths.iter_mut().flat_map(|path| &mut path.views).filter(|view| view.check().is_err()) {
+            *astray = view;
         }
         let (tree, plan, speeds) = (state.tree, state.planned(), self.motion.percentile());
         let (region, worst_views) = worst::sampled(&s, tree, plan, &view, speeds, epsilon, &self.track);

@@ -116,6 +116,7 @@ rivals! {
 use crate::lod_tree::{LodTree, RepId};
 use crate::scheduler::Action;
 use crate::select::certified::Certificate;
+use crate::setting::{SettingError, within};
 use crate::state::ClientState;
 use crate::units::Time;
 use crate::view::View;
@@ -173,4 +174,12 @@ pub struct RivalSettings {
     pub error_target_px: f64,
     /// Requests in flight at once.
     pub parallel: usize,
+}
+
+impl RivalSettings {
+    /// Refuses an aim or a number of requests that has no meaning, naming the field.
+    pub fn check(&self) -> Result<(), SettingError> {
+        within("error_target_px", self.error_target_px, (1e-6, 1e12), "pixels from 1e-6 to 1e12")?;
+        within("parallel", self.parallel as f64, (1.0, 1e6), "a count from 1 to 1e6")
+    }
 }

@@ -3,6 +3,7 @@
 use super::AlphaRule;
 use crate::benefit::cut::CutSettings;
 use crate::predict::PredictorKind;
+use crate::setting::{SettingError, within};
 use crate::worst_case::neighbourhood::NeighbourhoodKind;
 use crate::worst_case::{Reach, WorstCaseKind};
 
@@ -99,5 +100,47 @@ impl Default for ForesightSettings {
             slack_s: 0.05,
             predictor: PredictorKind::Mixture,
         }
+    }
+}
+
+impl ForesightSettings {
+    /// Refuses what no decision could be made with, naming the field.
+    pub fn check(&self) -> Result<(), SettingError> {
+        const SPAN: (f64, f64) = (1e-9, 1e9);
+        const COUNT: (f64, f64) = (1.0, 4096.0);
+        const NOT_NEGATIVE: (f64, f64) = (0.0, 1e12);
+        within("alpha", self.alpha, (0.0, 1.0), "a number from 0 to 1")?;
+        within("horizon_s", self.horizon_s, SPAN, "seconds from 1e-9 to 1e9")?;
+        within("reuse_s", self.reuse_s, SPAN, "seconds from 1e-9 to 1e9")?;
+        within("hysteresis", self.hysteresis, NOT_NEGATIVE, "a number from 0 to 1e12")?;
+        within("attenuation", self.attenuation, NOT_NEGATIVE, "a rate per second from 0 to 1e12")?;
+        within("request_cost_s", self.request_cost_s, NOT_NEGATIVE, "seconds from 0 to 1e12")?;
+        within("samples", self.samples as f64, COUNT, "a count from 1 to 4096")?;
+        within("tolerance", self.tolerance, NOT_NEGATIVE, "a number from 0 to 1e12")?;
+        within("slack_s", self.slack_s, NOT_NEGATIVE, "seconds from 0 to 1e12")?;
+        within("grouping", self.grouping, NOT_NEGATIVE, "a number from 0 to 1e12")?;
+        within("worst_samples", self.worst_samples as f64, COUNT, "a count from 1 to 4096")?;
+        if let AlphaRule::Solved { at_least } = self.alpha_rule {
+            within("alpha_rule.at_least", at_least, (0.0, 1.0), "a quality from 0 to 1")?;
+        }
+        if let NeighbourhoodKind::Walk { step, pitch_max } = self.neighbourhood {
+            within("neighbourhood.step", step, (0.0, 1e15), "metres from 0 to 1e15")?;
+            within("neighbourhood.pitch_max", pitch_max, (0.0, core::f64::consts::FRAC_PI_2), "radians from 0 to π/2")?;
+        }
+        self.cut.check()?;
+        const SPEED: (f64, f64) = (0.0, f64::MAX);
+        let reach = &self.reach;
+        within("reach.linear_max", reach.linear_max, SPEED, "a finite speed, m/s, not negative")?;
+        within("reach.angular_max", reach.angular_max, SPEED, "a finite rate, rad/s, not negative")?;
+        within("reach.stand_off", reach.stand_off, (0.0, 1e15), "metres from 0 to 1e15")?;
+        within("reach.up.length", reach.up.length(), (1.0 - 1e-6, 1.0 + 1e-6), "1 within 1e-6")?;
+        if let Some(rate) = reach.clearance_rate {
+            within("reach.clearance_rate", rate, (0.0, 1e9), "a rate per second from 0 to 1e9")?;
+        }
+        if let Some(speeds) = reach.declared {
+            within("reach.declared.linear", speeds.linear, SPEED, "a finite speed, m/s, not negative")?;
+            within("reach.declared.angular", speeds.angular, SPEED, "a finite rate, rad/s, not negative")?;
+        }
+        Ok(())
     }
 }
