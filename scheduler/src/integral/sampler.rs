@@ -15,6 +15,10 @@ use glam::DVec3;
 
 /// Most pieces of one target on one leg; a longer spin is cut into as many.
 const PIECES_MAX: usize = 256;
+/// Nodes of a part in which planes clip a leaf.
+const CLIPPED_LEAF: u32 = 6;
+/// Nodes of a part in which planes clip a group.
+const CLIPPED_GROUP: u32 = 4;
 
 /// What a quadrature sees of a target.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -103,17 +107,32 @@ impl Sampler {
         nodes: &mut Vec<Node>,
     ) -> u32 {
         let mut evaluations = 0;
+        let mut side = swept;
+        if swept != Side::Inside {
+            // No plane is met within the part, so that its middle tells.
+            let middle = 0.5 * (from + to);
+            let centre = self.leg.relative(target.centre(), middle);
+            side = self.leg.frustum(middle).side(centre, target.half());
+            evaluations += 1;
+            if side == Side::Outside {
+                return evaluations;
+            }
+        }
+        let is_clipped = side != Side::Inside;
         let mut open = vec![(from, to)];
         while let Some((from, to)) = open.pop() {
             let middle = 0.5 * (from + to);
-            let ratio = self.variation(target, swept, middle, to - from);
+            let ratio = self.variation(target, side, middle, to - from);
             if ratio > 0.5 && *pieces > open.len() && middle > from && middle < to {
                 open.push((middle, to));
                 open.push((from, middle));
                 continue;
             }
             *pieces = pieces.saturating_sub(1);
-            let count = if ratio < 0.03 {
+            let count = if is_clipped {
+                // Corners that cross a plane leave kinks of their own in what is seen of a leaf.
+                if target.form() == Form::Leaf { CLIPPED_LEAF } else { CLIPPED_GROUP }
+            } else if ratio < 0.03 {
                 1
             } else if ratio < 0.25 {
                 2
@@ -124,7 +143,7 @@ impl Sampler {
             let mut begin = from;
             for &(x, weight) in rule(count) {
                 let u = middle + half * x;
-                let sight = self.see(target, swept, u);
+                let sight = self.see(target, side, u);
                 evaluations += 1;
                 let length = half * weight;
                 let end = (begin + length).min(to);
@@ -142,8 +161,8 @@ impl Sampler {
         evaluations
     }
 
-    fn see(&self, target: &Target, swept: Side, u: f64) -> Sight {
-        if swept == Side::Inside && self.cut.centre_falloff == 0.0 {
+    fn see(&self, target: &Target, side: Side, u: f64) -> Sight {
+        if side == Side::Inside && self.cut.centre_falloff == 0.0 {
             let centre = self.leg.relative(target.centre(), u);
             return target.weigh(self.leg.base(), centre, Side::Inside, &self.cut);
         }
@@ -152,7 +171,7 @@ impl Sampler {
 
     /// How much the integrand changes over `seconds` about `u`: the way covered ÷ the distance of what it could change
     /// by, and the angle turned where that matters.
-    fn variation(&self, target: &Target, swept: Side, u: f64, seconds: f64) -> f64 {
+    fn variation(&self, target: &Target, side: Side, u: f64, seconds: f64) -> f64 {
         let velocity = self.leg.velocity();
         let centre = self.leg.relative(target.centre(), u);
         let way = velocity.length() * seconds;
@@ -173,7 +192,7 @@ impl Sampler {
             (way / edge.max(f64::MIN_POSITIVE)).max(towards / near)
         };
         let turned =
-            if swept == Side::Inside && self.cut.centre_falloff == 0.0 { 0.0 } else { self.leg.rate() * seconds };
+            if side == Side::Inside && self.cut.centre_falloff == 0.0 { 0.0 } else { self.leg.rate() * seconds };
         moved.max(turned).max((0.5 * self.attenuation * seconds).min(1.0))
     }
 }
