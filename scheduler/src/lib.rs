@@ -55,11 +55,14 @@
 
 pub mod benefit;
 pub mod estimate;
+pub mod integral;
 pub mod lod_tree;
 pub mod policy;
 pub mod predict;
 pub mod scheduler;
 pub mod select;
+pub mod setting;
+mod sparse;
 pub mod state;
 pub mod transfer;
 pub mod units;

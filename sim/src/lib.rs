@@ -1,5 +1,6 @@
 //! Replays camera paths over worlds and links, and compares prefetch policies.
 
+pub mod accuracy;
 pub mod bound;
 pub mod client;
 pub mod compare;

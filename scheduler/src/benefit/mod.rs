@@ -6,3 +6,4 @@ pub mod cut;
 pub mod frustum;
 pub mod quality;
 pub mod solid_angle;
+pub mod weight;

@@ -1,5 +1,7 @@
 //! The command line: parsing, and one module a command.
 
+mod accuracy;
+mod alpha_sweep;
 mod generate;
 mod inputs;
 mod inspect;
@@ -35,6 +37,8 @@ enum Command {
     Inspect(inspect::InspectArgs),
     /// Runs the named benchmark cases, and sets foresight against each rival.
     Suite(suite::SuiteArgs),
+    /// Sets the error of every estimator, method and setting against its run time.
+    Accuracy(Box<accuracy::AccuracyArgs>),
     /// The store of past runs: lists, shows, compares, exports and repeats them.
     Runs(runs::RunsArgs),
     /// Makes worlds of any size, and recordings of paths.
@@ -48,6 +52,7 @@ pub(crate) fn run(cli: Cli) -> anyhow::Result<()> {
         Some(Command::Replay(args)) => replay::run(*args),
         Some(Command::Inspect(args)) => inspect::run(&args),
         Some(Command::Suite(args)) => suite::run(&args),
+        Some(Command::Accuracy(args)) => accuracy::run(&args),
         Some(Command::Runs(args)) => runs::run(&args),
         Some(Command::Generate(args)) => generate::run(args),
     }

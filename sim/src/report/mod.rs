@@ -1,5 +1,8 @@
 //! A comparison for people: a table for the terminal, a page for the browser.
 
+mod accuracy;
+mod alpha;
+mod alpha_sweep;
 mod downsample;
 mod headline;
 mod map;
@@ -8,6 +11,7 @@ mod number;
 mod page;
 mod plot;
 mod prices;
+mod scatter;
 mod suite;
 mod table;
 
@@ -15,9 +19,12 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
+pub use accuracy::{accuracy_page, accuracy_text};
+pub use alpha_sweep::alpha_sweep_text;
 pub use suite::{suite_page, suite_text};
 pub use table::table;
 
+use crate::accuracy::outcome::Accuracy;
 use crate::outcome::Comparison;
 use crate::suite::SuiteOutcome;
 
@@ -50,6 +57,16 @@ pub fn write_suite(outcome: &SuiteOutcome, dir: &Path) -> io::Result<PathBuf> {
     replace(&dir.join("suite.json"), &document)?;
     let page = dir.join("suite.html");
     replace(&page, suite_page(outcome).as_bytes())?;
+    Ok(page)
+}
+
+/// Writes `accuracy.html` and `accuracy.json` into `dir` as [`write()`] does, and returns the path of the page.
+pub fn write_accuracy(outcome: &Accuracy, dir: &Path, command: &str) -> io::Result<PathBuf> {
+    let document = serde_json::to_vec_pretty(outcome).map_err(io::Error::from)?;
+    fs::create_dir_all(dir).map_err(|e| at(dir, e))?;
+    replace(&dir.join("accuracy.json"), &document)?;
+    let page = dir.join("accuracy.html");
+    replace(&page, accuracy_page(outcome, command).as_bytes())?;
     Ok(page)
 }
 

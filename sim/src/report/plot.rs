@@ -39,13 +39,24 @@ pub(super) fn series_class(index: usize) -> String {
 /// Classes of the upper bound's curve.
 pub(super) const BOUND_CLASS: &str = "curve sb bound";
 
-/// A linear axis with ticks at 1, 2 or 5 times a power of ten.
+/// An axis: linear with ticks at 1, 2 or 5 times a power of ten, or logarithmic with ticks at powers of ten.
 pub(super) struct Axis {
     lower: f64,
     upper: f64,
     ticks: Vec<(f64, String)>,
     title: String,
+    scale: Scale,
 }
+
+/// How values become lengths.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Scale {
+    Linear,
+    Logarithmic,
+}
+
+/// Most labelled decades of a logarithmic axis.
+const DECADES_LABELLED: i32 = 7;
 
 impl Axis {
     /// From `lower` to `upper` with at most about `count` ticks. An empty, reversed or undrawable range becomes one
@@ -61,7 +72,34 @@ impl Axis {
             .take_while(|v| *v <= upper + step * 1e-9)
             .map(|v| (v, super::number::fixed(v, decimals)))
             .collect();
-        Self { lower, upper, ticks, title: title.to_owned() }
+        Self { lower, upper, ticks, title: title.to_owned(), scale: Scale::Linear }
+    }
+
+    /// Whole decades around `values`, which are positive and drawable; `None` without any.
+    pub(super) fn logarithmic(values: impl Iterator<Item = f64>, title: &str) -> Option<Self> {
+        let (mut least, mut greatest) = (f64::INFINITY, 0f64);
+        for value in values.filter(|v| drawable(*v) && *v > 0.0) {
+            (least, greatest) = (least.min(value), greatest.max(value));
+        }
+        if least > greatest {
+            return None;
+        }
+        let first = libm::floor(libm::log10(least) + 1e-9) as i32;
+        let last = (libm::ceil(libm::log10(greatest) - 1e-9) as i32).max(first + 1);
+        let step = ((last - first - 1) / DECADES_LABELLED + 1).max(1);
+        let ticks = (first..=last)
+            .step_by(step as usize)
+            .map(|decade| {
+                let label = match decade {
+                    0..=4 => format!("{}", 10_i64.pow(decade.unsigned_abs())),
+                    -3..=-1 => super::number::fixed(libm::pow(10.0, f64::from(decade)), decade.unsigned_abs() as usize),
+                    _ => format!("1e{decade}"),
+                };
+                (libm::pow(10.0, f64::from(decade)), label)
+            })
+            .collect();
+        let (lower, upper) = (libm::pow(10.0, f64::from(first)), libm::pow(10.0, f64::from(last)));
+        Some(Self { lower, upper, ticks, title: title.to_owned(), scale: Scale::Logarithmic })
     }
 
     /// Seconds from `lower` to `upper`, labelled in seconds, minutes or hours.
@@ -87,7 +125,11 @@ impl Axis {
 
     /// Where `value` lies between the ends, 0 to 1; beyond an end counts as the end.
     pub(super) fn share(&self, value: f64) -> f64 {
-        let share = ((value - self.lower) / (self.upper - self.lower)).clamp(0.0, 1.0);
+        let share = match self.scale {
+            Scale::Linear => (value - self.lower) / (self.upper - self.lower),
+            Scale::Logarithmic => libm::log(value / self.lower) / libm::log(self.upper / self.lower),
+        };
+        let share = share.clamp(0.0, 1.0);
         if share.is_nan() { 0.0 } else { share }
     }
 }
