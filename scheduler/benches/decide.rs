@@ -91,7 +91,7 @@ fn sample(horizon: &mut Horizon, tree: &LodTree, planned: &Coverage) {
     let sampled = HorizonSettings {
         alpha: settings.alpha,
         attenuation: settings.attenuation,
-        tolerance: settings.tolerance,
+        tolerance: 0.1 * 5e-3,
         cut: settings.cut,
     };
     horizon.make(tree, planned, &paths, &bounds, (&here, region), &sampled);

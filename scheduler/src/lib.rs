@@ -61,6 +61,8 @@ pub mod policy;
 pub mod predict;
 pub mod scheduler;
 pub mod select;
+pub mod setting;
+mod sparse;
 pub mod state;
 pub mod transfer;
 pub mod units;

@@ -4,6 +4,7 @@
 //! everything beneath the node. The arrays are flat and in preorder: the subtree of a node is one interval of ids,
 //! so whatever is kept per node can be summed, searched and refreshed by slices.
 
+use crate::view::POSITION_MAX;
 use glam::{DVec3, Vec3};
 
 /// A node of the tree, by its place in preorder; the root is 0.
@@ -76,8 +77,8 @@ pub struct Representation {
 const NO_REP: u32 = u32::MAX;
 const NO_DIRECTION: u8 = u8::MAX;
 
-/// A world as the scheduler sees it. At most 2³²−2 nodes and as many representations; 80 bytes for a node with one
-/// representation.
+/// A world as the scheduler sees it. At most 2³²−2 nodes and as many representations; 86 to 95 bytes for a node with
+/// one representation.
 #[derive(Clone, Debug, Default)]
 pub struct LodTree {
     parent: Vec<u32>,
@@ -94,6 +95,56 @@ pub struct LodTree {
     rep_prerequisite: Vec<u32>,
     rep_direction: Vec<u8>,
     errors_fall: bool,
+    /// Per node, bounds for the representations strictly beneath, as the upper halves of f32s rounded the safe way: area
+    /// per wire byte by axis, least error, least wire bytes.
+    beneath: Vec<[u16; 5]>,
+}
+
+/// Bounds for every representation strictly beneath a node.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Beneath {
+    /// At least S_{n(r)} / M_r by axis, m² per wire byte.
+    pub density: [f32; 3],
+    /// At most the least error, metres; ∞ if there is none.
+    pub least_error: f32,
+    /// At most the least wire bytes; ∞ if there is none.
+    pub least_wire: f32,
+}
+
+impl Beneath {
+    /// Of no representation.
+    pub const NONE: Beneath = Beneath { density: [0.0; 3], least_error: f32::INFINITY, least_wire: f32::INFINITY };
+
+    /// For both.
+    pub fn union(self, other: Beneath) -> Beneath {
+        Beneath {
+            density: [0, 1, 2].map(|i| self.density[i].max(other.density[i])),
+            least_error: self.least_error.min(other.least_error),
+            least_wire: self.least_wire.min(other.least_wire),
+        }
+    }
+
+    /// For one representation of a node with these face areas.
+    pub fn of(face_areas: [f32; 3], wire_bytes: u32, error: f32) -> Beneath {
+        let per_byte = |area: f32| narrow_up(f64::from(area) / f64::from(wire_bytes));
+        Beneath {
+            density: face_areas.map(per_byte),
+            least_error: error,
+            least_wire: narrow_down(f64::from(wire_bytes)),
+        }
+    }
+
+    fn pack(self) -> [u16; 5] {
+        let up = |v: f32| (v.to_bits().saturating_add(0xFFFF) >> 16) as u16;
+        let down = |v: f32| (v.to_bits() >> 16) as u16;
+        let [x, y, z] = self.density.map(up);
+        [x, y, z, down(self.least_error), down(self.least_wire)]
+    }
+
+    fn unpack(packed: [u16; 5]) -> Beneath {
+        let [x, y, z, error, wire] = packed.map(|half| f32::from_bits(u32::from(half) << 16));
+        Beneath { density: [x, y, z], least_error: error, least_wire: wire }
+    }
 }
 
 /// Deepest tree accepted. An octree that halves the Earth down to a millimetre has 34 levels.
@@ -109,7 +160,7 @@ pub enum LodTreeError {
     #[error("node {0} has neither children nor content bounds")]
     LeafWithoutBounds(u32),
     /// A box has a corner that is NaN or infinite, or is inside out.
-    #[error("node {node} has the bounds {min} to {max}; expected finite corners in order")]
+    #[error("node {node} has the bounds {min} to {max}; expected corners in order, within ±1e30 m")]
     Bounds {
         /// The node.
         node: u32,
@@ -190,6 +241,7 @@ pub struct LodTreeBuilder {
     open: Vec<u32>,
     boxes: Vec<Aabb>,
     areas: Vec<[f64; 3]>,
+    beneath: Vec<Beneath>,
     any_importance: bool,
     any_prerequisite: bool,
     any_direction: bool,
@@ -216,10 +268,12 @@ impl LodTreeBuilder {
         self.tree.half.push(Vec3::ZERO);
         self.tree.area.push([0.0; 3]);
         self.tree.importance.push(1.0);
+        self.tree.beneath.push([0; 5]);
         self.tree.first_rep.push(self.tree.rep_node.len() as u32);
         self.open.push(id as u32);
         self.boxes.push(Aabb::EMPTY);
         self.areas.push([0.0; 3]);
+        self.beneath.push(Beneath::NONE);
         Ok(NodeId(id as u32))
     }
 
@@ -267,6 +321,7 @@ impl LodTreeBuilder {
         let node = self.open.pop().ok_or(LodTreeError::Nesting("close without open"))?;
         let mut bounds = self.boxes.pop().unwrap_or(Aabb::EMPTY);
         let mut areas = self.areas.pop().unwrap_or([0.0; 3]);
+        let beneath = self.beneath.pop().unwrap_or(Beneath::NONE);
         let index = node as usize;
         let end = self.tree.parent.len() as u32;
         let is_leaf = end == node + 1;
@@ -277,7 +332,7 @@ impl LodTreeBuilder {
             return Err(LodTreeError::Importance { node, importance });
         }
         if let Some(own) = content {
-            if own.is_empty() || !own.min.is_finite() || !own.max.is_finite() {
+            if own.is_empty() || !is_within_reach(own.min) || !is_within_reach(own.max) {
                 return Err(LodTreeError::Bounds { node, min: own.min, max: own.max });
             }
             bounds = bounds.union(own);
@@ -302,6 +357,17 @@ impl LodTreeBuilder {
         self.tree.area[index] = areas.map(|a| a as f32);
         if !self.tree.area[index].iter().all(|a| a.is_finite()) {
             return Err(LodTreeError::Bounds { node, min: bounds.min, max: bounds.max });
+        }
+        self.tree.beneath[index] = beneath.pack();
+        if let Some(above) = self.beneath.last_mut() {
+            let first = self.tree.first_rep[index] as usize;
+            // Of a leaf, the own representations are the last that were added.
+            let end = self.tree.first_rep.get(index + 1).map_or(self.tree.rep_node.len(), |&end| end as usize);
+            for rep in first..end {
+                let of = Beneath::of(self.tree.area[index], self.tree.rep_wire[rep], self.tree.rep_error[rep]);
+                *above = above.union(of);
+            }
+            *above = above.union(beneath);
         }
         if let (Some(parent_box), Some(parent_areas)) = (self.boxes.last_mut(), self.areas.last_mut()) {
             *parent_box = parent_box.union(bounds);
@@ -335,11 +401,23 @@ impl LodTreeBuilder {
     }
 }
 
+/// Whether a corner is finite and as near as a view can be.
+fn is_within_reach(corner: DVec3) -> bool {
+    corner.is_finite() && corner.abs().max_element() <= POSITION_MAX
+}
+
 /// The one place where world sizes are narrowed to f32: upwards, so that a box never shrinks.
 #[expect(clippy::cast_possible_truncation, reason = "the narrowing itself; what it loses is given back by next_up")]
 fn narrow_up(value: f64) -> f32 {
     let narrow = value as f32;
     if f64::from(narrow) < value { narrow.next_up() } else { narrow }
+}
+
+/// The other way, for what must not grow.
+#[expect(clippy::cast_possible_truncation, reason = "the narrowing itself; what it adds is taken off by next_down")]
+fn narrow_down(value: f64) -> f32 {
+    let narrow = value as f32;
+    if f64::from(narrow) > value { narrow.next_down() } else { narrow }
 }
 
 impl LodTree {
@@ -418,6 +496,17 @@ impl LodTree {
     pub fn face_areas(&self, node: NodeId) -> DVec3 {
         let [x, y, z] = self.area[node.index()];
         DVec3::new(f64::from(x), f64::from(y), f64::from(z))
+    }
+
+    /// Bounds for every representation strictly beneath.
+    pub fn beneath_bounds(&self, node: NodeId) -> Beneath {
+        Beneath::unpack(self.beneath[node.index()])
+    }
+
+    /// The same for one representation.
+    pub fn own_bounds(&self, rep: RepId) -> Beneath {
+        let node = self.rep_node[rep.index()] as usize;
+        Beneath::of(self.area[node], self.rep_wire[rep.index()], self.rep_error[rep.index()])
     }
 
     /// ι of a leaf.
@@ -523,7 +612,7 @@ impl LodTree {
 
     /// Bytes that the arrays occupy.
     pub fn heap_bytes(&self) -> usize {
-        self.nodes() * (4 + 4 + 24 + 12 + 12 + 4)
+        self.nodes() * (4 + 4 + 24 + 12 + 12 + 4 + 10)
             + self.importance.len() * 4
             + self.representations() * (4 * 4)
             + self.rep_prerequisite.len() * 4
@@ -568,6 +657,11 @@ mod tests {
         assert_eq!(tree.beneath(root).len(), 3);
         assert_eq!(tree.own(root).next(), Some(coarse));
         assert!(!tree.has_prerequisites() && !tree.has_directions());
+        // Beneath the root: 1 m² a 20 bytes and 2 m² a 30 bytes, to a hundredth and never less.
+        let bounds = tree.beneath_bounds(root);
+        assert!(bounds.density.iter().all(|&d| (2.0 / 30.0..2.0 / 30.0 * 1.01).contains(&f64::from(d))));
+        assert!(bounds.least_error == 1.0 && bounds.least_wire == 20.0);
+        assert_eq!(tree.beneath_bounds(far), Beneath::NONE);
         Ok(())
     }
 

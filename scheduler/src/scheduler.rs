@@ -4,8 +4,11 @@
 use crate::benefit::coverage::Refinement;
 use crate::lod_tree::{LodTree, RepId};
 use crate::policy::Policy;
-use crate::state::{ClientState, Status};
-use crate::transfer::TransferEstimate;
+use crate::policy::foresight::AlphaReport;
+use crate::select::certified::Certificate;
+use crate::setting::SettingError;
+use crate::state::{ClientState, Status, smallest_closure};
+use crate::transfer::{TransferEstimate, check_guesses};
 use crate::units::Time;
 use crate::view::{View, ViewError};
 
@@ -45,6 +48,43 @@ impl SchedulerSettings {
     pub fn with_budget(budget: u64) -> SchedulerSettings {
         SchedulerSettings { budget, refinement: Refinement::Partial, rate_guess: 625_000.0, latency_guess_s: 0.06 }
     }
+
+    /// Refuses guesses that are not finite or have the wrong sign, naming the field.
+    pub fn check(&self) -> Result<(), SettingError> {
+        check_guesses(self.rate_guess, self.latency_guess_s)
+    }
+}
+
+/// Why a scheduler waits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Waiting {
+    /// No view has been observed.
+    NoView,
+    /// What was requested is on its way.
+    Transfers,
+    /// Nothing is resident, and the budget is below the smallest closure that could be shown.
+    Budget {
+        /// Bytes given.
+        budget: u64,
+        /// Bytes that the smallest takes while it is on its way; `None` in a world without representations.
+        least: Option<u64>,
+    },
+    /// Nothing that fits gains enough.
+    NothingGains,
+}
+
+impl core::fmt::Display for Waiting {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Waiting::NoView => write!(f, "no view has been observed"),
+            Waiting::Transfers => write!(f, "what was requested is on its way"),
+            Waiting::Budget { budget, least: Some(least) } => {
+                write!(f, "the memory budget is {budget} bytes; expected at least {least}, the smallest usable closure")
+            }
+            Waiting::Budget { least: None, .. } => write!(f, "the world has no representation"),
+            Waiting::NothingGains => write!(f, "nothing that fits gains enough"),
+        }
+    }
 }
 
 /// What cannot be done.
@@ -53,6 +93,19 @@ pub enum SchedulerError {
     /// The view has no finite meaning.
     #[error(transparent)]
     View(#[from] ViewError),
+    /// A setting has no meaning.
+    #[error(transparent)]
+    Setting(#[from] SettingError),
+    /// An announced path goes back in time.
+    #[error("view {index} of the announced path is at {at:?}, after one at {before:?}; expected times in order")]
+    PathOrder {
+        /// Place in the path, from 0.
+        index: usize,
+        /// Its time.
+        at: Time,
+        /// Time of the view before it.
+        before: Time,
+    },
     /// Time went backwards.
     #[error("an event at {now:?} came after one at {latest:?}; expected times in order")]
     Time {
@@ -102,22 +155,44 @@ pub struct Scheduler<'a> {
     state: ClientState<'a>,
     policy: Box<dyn Policy + 'a>,
     latest: Time,
+    waits: bool,
 }
 
 impl<'a> Scheduler<'a> {
-    /// A scheduler for one client of a world.
+    /// A scheduler for one client of a world; refuses settings without meaning.
+    pub fn checked(
+        tree: &'a LodTree,
+        settings: SchedulerSettings,
+        policy: Box<dyn Policy + 'a>,
+    ) -> Result<Scheduler<'a>, SchedulerError> {
+        settings.check()?;
+        Ok(Scheduler::new(tree, settings, policy))
+    }
+
+    /// As [`Scheduler::checked`], for settings that have passed [`SchedulerSettings::check`].
     pub fn new(tree: &'a LodTree, settings: SchedulerSettings, policy: Box<dyn Policy + 'a>) -> Scheduler<'a> {
         let link = TransferEstimate::new(settings.rate_guess, settings.latency_guess_s);
         Scheduler {
             state: ClientState::new(tree, settings.budget, settings.refinement, link),
             policy,
             latest: Time::ZERO,
+            waits: false,
         }
     }
 
     /// What is known about the client.
     pub fn state(&self) -> &ClientState<'a> {
         &self.state
+    }
+
+    /// Bytes that the session occupies beside the shared world; what the policy keeps for itself is not counted.
+    pub fn heap_bytes(&self) -> usize {
+        self.state.heap_bytes()
+    }
+
+    /// What became of α so far, for a policy that has one.
+    pub fn alpha(&self) -> Option<AlphaReport> {
+        self.policy.alpha()
     }
 
     fn pass(&mut self, now: Time) -> Result<(), SchedulerError> {
@@ -157,8 +232,13 @@ impl<'a> Scheduler<'a> {
 
     /// Tells where the camera will be: a `flyTo` or a recorded tour, as (time, view) in order.
     pub fn announce_path(&mut self, path: &[(Time, View)]) -> Result<(), SchedulerError> {
-        for (_, view) in path {
+        for (index, (at, view)) in path.iter().enumerate() {
             view.check()?;
+            if let Some(&(before, _)) = index.checked_sub(1).map(|before| &path[before])
+                && before > *at
+            {
+                return Err(SchedulerError::PathOrder { index, at: *at, before });
+            }
         }
         self.policy.announce_path(path);
         Ok(())
@@ -214,6 +294,7 @@ impl<'a> Scheduler<'a> {
     pub fn next(&mut self, now: Time) -> Result<Action, SchedulerError> {
         self.pass(now)?;
         let action = self.policy.decide(&self.state, now);
+        self.waits = matches!(action, Action::WaitUntil(_));
         match &action {
             Action::Fetch { rep, discard_on_arrival } => {
                 self.expect(*rep, "fetched", &[Status::Absent]).map_err(|_| self.refusal("a fetch", *rep))?;
@@ -251,6 +332,33 @@ impl<'a> Scheduler<'a> {
             Action::WaitUntil(_) => {}
         }
         Ok(action)
+    }
+
+    /// Why the last answer was to wait; `None` if it was not. Takes time in the size of the world where nothing is
+    /// resident.
+    pub fn waiting_because(&self) -> Option<Waiting> {
+        if !self.waits {
+            return None;
+        }
+        let state = &self.state;
+        if state.view.is_none() {
+            return Some(Waiting::NoView);
+        }
+        if !state.requests().is_empty() {
+            return Some(Waiting::Transfers);
+        }
+        if state.used_bytes() == 0 {
+            let least = smallest_closure(state.tree, state.planned().refinement());
+            if least.is_none_or(|least| least > state.budget) {
+                return Some(Waiting::Budget { budget: state.budget, least });
+            }
+        }
+        Some(Waiting::NothingGains)
+    }
+
+    /// What is proven about the policy's last choice, if it proves something.
+    pub fn certificate(&self) -> Option<Certificate> {
+        self.policy.certificate()
     }
 
     fn refusal(&self, what: &'static str, rep: RepId) -> SchedulerError {

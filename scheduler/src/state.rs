@@ -1,10 +1,12 @@
 //! What the scheduler knows about its client: memory, requests, and what the link costs.
 
 use crate::benefit::coverage::{Coverage, Refinement};
-use crate::lod_tree::{LodTree, RepId};
+use crate::lod_tree::{LodTree, NodeId, RepId};
+use crate::sparse::IdMap;
 use crate::transfer::TransferEstimate;
 use crate::units::Time;
 use crate::view::View;
+use std::collections::BTreeMap;
 
 /// Where a representation is on its way.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -44,12 +46,13 @@ pub struct ClientState<'a> {
     pub tree: &'a LodTree,
     /// Bytes that resident, arriving and requested representations may take together.
     pub budget: u64,
-    status: Vec<Status>,
+    /// Of what is not absent.
+    status: IdMap<Status>,
     resident: Coverage,
     planned: Coverage,
     requests: Vec<Request>,
-    /// How many planned or doomed representations need each one first; empty in a world without prerequisites.
-    dependents: Vec<u32>,
+    /// How many planned or doomed representations need one first, where any does.
+    dependents: IdMap<u32>,
     used: u64,
     /// Bytes of the requests in flight that have been received.
     received_in_flight: u64,
@@ -66,11 +69,11 @@ impl<'a> ClientState<'a> {
         ClientState {
             tree,
             budget,
-            status: vec![Status::Absent; tree.representations()],
+            status: IdMap::default(),
             resident: empty.clone(),
             planned: empty,
             requests: Vec::new(),
-            dependents: if tree.has_prerequisites() { vec![0; tree.representations()] } else { Vec::new() },
+            dependents: IdMap::default(),
             used: 0,
             received_in_flight: 0,
             link,
@@ -80,7 +83,7 @@ impl<'a> ClientState<'a> {
 
     /// Where `rep` is.
     pub fn status(&self, rep: RepId) -> Status {
-        self.status[rep.index()]
+        self.status.get(&rep.0).copied().unwrap_or_default()
     }
 
     /// Everything that can be shown and is not doomed, in order of id.
@@ -126,7 +129,7 @@ impl<'a> ClientState<'a> {
 
     /// Whether a planned or doomed representation needs `rep` first: then it cannot be discarded.
     pub fn is_needed(&self, rep: RepId) -> bool {
-        self.dependents.get(rep.index()).is_some_and(|&n| n > 0)
+        self.dependents.contains_key(&rep.0)
     }
 
     /// Whether everything that `rep` needs first is planned.
@@ -136,7 +139,7 @@ impl<'a> ClientState<'a> {
 
     fn plan(&mut self, rep: RepId) {
         if let Some(p) = self.tree.prerequisite(rep) {
-            self.dependents[p.index()] += 1;
+            *self.dependents.entry(p.0).or_default() += 1;
         }
         self.planned.insert(self.tree, rep);
     }
@@ -147,8 +150,13 @@ impl<'a> ClientState<'a> {
     }
 
     fn release_prerequisite(&mut self, rep: RepId) {
-        if let Some(p) = self.tree.prerequisite(rep) {
-            self.dependents[p.index()] -= 1;
+        if let Some(p) = self.tree.prerequisite(rep)
+            && let Some(dependents) = self.dependents.get_mut(&p.0)
+        {
+            *dependents -= 1;
+            if *dependents == 0 {
+                self.dependents.remove(&p.0);
+            }
         }
     }
 
@@ -156,12 +164,12 @@ impl<'a> ClientState<'a> {
         let handed_over: u64 = discard_on_arrival.iter().map(|&d| self.tree.decoded_bytes(d)).sum();
         let reserved = self.tree.wire_bytes(rep) + self.tree.decoded_bytes(rep).saturating_sub(handed_over);
         for &doomed in &discard_on_arrival {
-            self.status[doomed.index()] = Status::Doomed;
+            self.status.insert(doomed.0, Status::Doomed);
             // It can be shown until it goes, and is spared if the request ends early: what it needs has to stay.
             self.planned.remove(self.tree, doomed);
         }
         self.used += reserved;
-        self.status[rep.index()] = Status::InFlight;
+        self.status.insert(rep.0, Status::InFlight);
         self.plan(rep);
         self.requests.push(Request { rep, requested: now, responded: None, discard_on_arrival, reserved });
     }
@@ -196,55 +204,88 @@ impl<'a> ClientState<'a> {
     pub(crate) fn arrive(&mut self, request: &Request) {
         for &doomed in &request.discard_on_arrival {
             self.used -= self.tree.decoded_bytes(doomed);
-            self.status[doomed.index()] = Status::Absent;
+            self.status.remove(&doomed.0);
             self.resident.remove(self.tree, doomed);
             self.release_prerequisite(doomed);
         }
         self.used = self.used - request.reserved + self.request_bytes(request.rep);
-        self.status[request.rep.index()] = Status::Arrived;
+        self.status.insert(request.rep.0, Status::Arrived);
     }
 
     /// The request failed or was cancelled: its memory is free again, and what it had doomed stays.
     pub(crate) fn abandon(&mut self, request: &Request) {
         self.used -= request.reserved;
-        self.status[request.rep.index()] = Status::Absent;
+        self.status.remove(&request.rep.0);
         self.unplan(request.rep);
         for &spared in &request.discard_on_arrival {
-            self.status[spared.index()] = Status::Resident;
+            self.status.insert(spared.0, Status::Resident);
             self.planned.insert(self.tree, spared);
         }
     }
 
     pub(crate) fn complete(&mut self, rep: RepId) {
         self.used -= self.tree.wire_bytes(rep);
-        self.status[rep.index()] = Status::Resident;
+        self.status.insert(rep.0, Status::Resident);
         self.resident.insert(self.tree, rep);
     }
 
     /// An arrived representation could not be decoded.
     pub(crate) fn drop_arrived(&mut self, rep: RepId) {
         self.used -= self.request_bytes(rep);
-        self.status[rep.index()] = Status::Absent;
+        self.status.remove(&rep.0);
         self.unplan(rep);
     }
 
     /// Puts a representation there from the start (`--warm`).
     pub(crate) fn place(&mut self, rep: RepId) {
         self.used += self.tree.decoded_bytes(rep);
-        self.status[rep.index()] = Status::Resident;
+        self.status.insert(rep.0, Status::Resident);
         self.resident.insert(self.tree, rep);
         self.plan(rep);
     }
 
     pub(crate) fn discard(&mut self, rep: RepId) {
         self.used -= self.tree.decoded_bytes(rep);
-        self.status[rep.index()] = Status::Absent;
+        self.status.remove(&rep.0);
         self.resident.remove(self.tree, rep);
         self.unplan(rep);
+    }
+
+    /// Bytes that the state occupies, the world not counted.
+    pub fn heap_bytes(&self) -> usize {
+        let waiting: usize = self.requests.iter().map(|r| r.discard_on_arrival.capacity()).sum();
+        self.status.allocation_size()
+            + self.dependents.allocation_size()
+            + self.resident.heap_bytes()
+            + self.planned.heap_bytes()
+            + self.requests.capacity() * size_of::<Request>()
+            + waiting * size_of::<RepId>()
+            + self.link.heap_bytes()
     }
 
     /// A copy of the planned set that a policy may alter to weigh its choices.
     pub fn hypothetical(&self) -> Coverage {
         self.planned.clone()
     }
+}
+
+/// Bytes that the smallest closure takes while it is on its way: something that can be shown, with what it needs first,
+/// and under `Atomic` with its sibling group. `None` in a world without representations.
+pub fn smallest_closure(tree: &LodTree, refinement: Refinement) -> Option<u64> {
+    let bytes = |rep: RepId| tree.wire_bytes(rep) + tree.decoded_bytes(rep);
+    let reps = (0..tree.representations() as u32).map(RepId);
+    // What needs another takes more than that one alone.
+    let alone = reps.filter(|&rep| tree.prerequisite(rep).is_none());
+    if refinement == Refinement::Partial {
+        return alone.map(bytes).min();
+    }
+    // By content parent, the least of each member, summed. Prerequisites among the members are counted once or not at
+    // all: a lower bound.
+    let mut groups: BTreeMap<Option<NodeId>, u64> = BTreeMap::new();
+    for node in (0..tree.nodes() as u32).map(NodeId) {
+        if let Some(least) = tree.own(node).map(bytes).min() {
+            *groups.entry(tree.content_parent(node)).or_default() += least;
+        }
+    }
+    groups.into_values().min()
 }

@@ -3,6 +3,7 @@
 //! c is bytes per *busy* link-second: time during which at least one request was receiving. Durations of single
 //! requests say nothing where requests overlap.
 
+use crate::setting::{SettingError, within};
 use crate::units::Time;
 
 /// Busy seconds after which an observation counts half.
@@ -26,7 +27,19 @@ pub struct TransferEstimate {
     prior_latency_s: f64,
 }
 
+/// Refuses a first guess that is no rate (bytes/s) or no latency (s), naming the field.
+pub fn check_guesses(rate: f64, latency_s: f64) -> Result<(), SettingError> {
+    within("rate_guess", rate, (f64::MIN_POSITIVE, 1e18), "bytes/s, more than 0 and at most 1e18")?;
+    within("latency_guess_s", latency_s, (0.0, 1e9), "seconds from 0 to 1e9")
+}
+
 impl TransferEstimate {
+    /// As [`TransferEstimate::new`]; refuses guesses that are not finite or have the wrong sign.
+    pub fn checked(rate: f64, latency_s: f64) -> Result<TransferEstimate, SettingError> {
+        check_guesses(rate, latency_s)?;
+        Ok(TransferEstimate::new(rate, latency_s))
+    }
+
     /// Starts from a guess of `rate` bytes/s and `latency_s`, which weighs like 0.25 s of observation.
     pub fn new(rate: f64, latency_s: f64) -> TransferEstimate {
         let busy_s = 0.25;
@@ -76,6 +89,11 @@ impl TransferEstimate {
             self.busy_s = self.busy_s * kept + passed;
         }
         self.counted_to = self.counted_to.max(now);
+    }
+
+    /// Bytes that the remembered latencies occupy.
+    pub fn heap_bytes(&self) -> usize {
+        self.latencies.capacity() * size_of::<f64>()
     }
 
     /// 1/c, bytes per second of busy link; at least 1.

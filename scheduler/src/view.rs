@@ -17,11 +17,14 @@ pub struct View {
     pub viewport: [u32; 2],
 }
 
+/// Farthest coordinate accepted, metres: beyond the observable universe, and squares of squares of distances are finite.
+pub const POSITION_MAX: f64 = 1e30;
+
 /// What a view may not be.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum ViewError {
-    /// A coordinate is NaN or infinite.
-    #[error("the view's position {0} is not finite")]
+    /// A coordinate is NaN, or beyond [`POSITION_MAX`].
+    #[error("the view's position is {0}; expected coordinates within ±1e30 m")]
     Position(DVec3),
     /// The quaternion is not of length 1 within 10⁻⁶.
     #[error("the view's orientation {0} has length {1}; expected 1 within 1e-6")]
@@ -37,7 +40,7 @@ pub enum ViewError {
 impl View {
     /// Refuses what no estimator could give a finite answer for.
     pub fn check(&self) -> Result<(), ViewError> {
-        if !self.position.is_finite() {
+        if !(self.position.abs().max_element() <= POSITION_MAX && self.position.is_finite()) {
             return Err(ViewError::Position(self.position));
         }
         let length = self.orientation.length();

@@ -5,8 +5,8 @@ use crate::client::ClientSettings;
 use crate::flight::{Flight, TICKS_PER_FRAME, tick_time};
 use crate::link::LinkTrace;
 use crate::outcome::{
-    Arrival, Comparison, Inputs, Interval, Intervals, PolicyOutcome, PolicySeries, Pressure, SCHEMA_VERSION, Series,
-    UpperBound,
+    AlphaOutcome, Arrival, Comparison, Inputs, Interval, Intervals, PolicyOutcome, PolicySeries, Pressure,
+    SCHEMA_VERSION, Series, UpperBound,
 };
 use crate::policies::PolicySpec;
 use crate::pressure::Needs;
@@ -15,6 +15,7 @@ use crate::replay::{ReplayError, Run, Stage, replay};
 use crate::stopwatch::percentiles;
 use foresight_scheduler::benefit::cut::{Cut, CutSettings};
 use foresight_scheduler::lod_tree::{LodTree, RepId};
+use foresight_scheduler::policy::foresight::{AlphaReport, Constraint};
 use foresight_scheduler::scheduler::SchedulerSettings;
 use foresight_scheduler::units::Time;
 use glam::DVec3;
@@ -159,7 +160,7 @@ pub fn compare(
         .collect::<Result<_, CompareError>>()?;
     let by_policy: Vec<&[Run]> = runs.chunks(plan.starts.len()).collect();
     let mut outcomes: Vec<(PolicyOutcome, usize)> =
-        by_policy.iter().enumerate().map(|(p, runs)| (outcome(&policies[p].label, runs), p)).collect();
+        by_policy.iter().enumerate().map(|(p, runs)| (outcome(&policies[p], runs), p)).collect();
     keep_best_targets(&mut outcomes, &policies, plan.policies.len());
 
     let bounds = if plan.without_bound { Vec::new() } else { frame_bounds(plan, &cuts, budget, &preloaded) };
@@ -291,7 +292,7 @@ fn frame_bounds(plan: &Plan, cuts: &[Cut], budget: u64, preloaded: &[RepId]) -> 
 }
 
 /// What a policy reached, averaged over the starts.
-fn outcome(name: &str, runs: &[Run]) -> PolicyOutcome {
+fn outcome(spec: &PolicySpec, runs: &[Run]) -> PolicyOutcome {
     let figures: Vec<Figures> = runs.iter().map(Figures::new).collect();
     let all = |figure: fn(&Figures) -> Option<f64>| -> Vec<Option<f64>> { figures.iter().map(figure).collect() };
     let average = |figure| {
@@ -302,7 +303,7 @@ fn outcome(name: &str, runs: &[Run]) -> PolicyOutcome {
     let spread = |figure| interval(&all(figure));
     let mut nanos: Vec<u64> = runs.iter().flat_map(|r| r.decision_nanos.iter().copied()).collect();
     PolicyOutcome {
-        name: name.to_owned(),
+        name: spec.label.clone(),
         mean_quality: average(|f| f.mean_quality),
         mean_deficit: average(|f| f.mean_deficit),
         mean_deficit_by_start: all(|f| f.mean_deficit),
@@ -317,6 +318,7 @@ fn outcome(name: &str, runs: &[Run]) -> PolicyOutcome {
         evictions: average(|f| f.evictions).unwrap_or(0.0),
         decisions: average(|f| f.decisions).unwrap_or(0.0),
         decision_ns: percentiles(&mut nanos),
+        alpha: spec.alpha_rule().and_then(|rule| AlphaOutcome::of(rule, runs)),
         interval: (runs.len() > 1).then(|| Intervals {
             mean_quality: spread(|f| f.mean_quality),
             mean_deficit: spread(|f| f.mean_deficit),
@@ -329,6 +331,31 @@ fn outcome(name: &str, runs: &[Run]) -> PolicyOutcome {
             bytes_cancelled: spread(|f| f.bytes_cancelled),
             evictions: spread(|f| f.evictions),
         }),
+    }
+}
+
+impl AlphaOutcome {
+    /// Over the starts; `None` if a policy says nothing of its α.
+    fn of(rule: &'static str, runs: &[Run]) -> Option<AlphaOutcome> {
+        let reports: Vec<AlphaReport> = runs.iter().map(|run| run.alpha).collect::<Option<_>>()?;
+        let over = |figure: fn(&AlphaReport) -> Option<f64>| -> Option<f64> {
+            mean(&reports.iter().map(figure).collect::<Option<Vec<_>>>()?)
+        };
+        let constraints: Vec<Constraint> = reports.iter().filter_map(|r| r.constraint).collect();
+        let stands = |good: &[Constraint]| constraints.iter().filter(|c| good.contains(c)).count();
+        let has_target = !constraints.is_empty();
+        Some(AlphaOutcome {
+            rule,
+            mean: over(|r| Some(r.mean_alpha))?,
+            settled: over(|r| Some(r.settled_alpha))?,
+            oscillation: over(|r| Some(r.oscillation))?,
+            mean_worst_quality: over(|r| r.mean_worst_quality),
+            settled_worst_quality: over(|r| r.settled_worst_quality),
+            at_least: over(|r| r.target),
+            constraint: constraints.iter().map(|c| c.name()).collect(),
+            converged: has_target.then(|| stands(&[Constraint::Met, Constraint::Slack]) == constraints.len()),
+            infeasible: has_target.then(|| stands(&[Constraint::Infeasible]) > 0),
+        })
     }
 }
 

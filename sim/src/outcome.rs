@@ -180,9 +180,37 @@ pub struct PolicyOutcome {
     pub decisions: f64,
     /// How long decisions took.
     pub decision_ns: DecisionNanos,
+    /// What became of α, where it is not fixed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub alpha: Option<AlphaOutcome>,
     /// Present with several starts.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub interval: Option<Intervals>,
+}
+
+/// What became of α. Means over the starts where there are several.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct AlphaOutcome {
+    /// `watched`, `solved` or `adapted`.
+    pub rule: &'static str,
+    /// Mean over the replay.
+    pub mean: f64,
+    /// Mean over the last seconds, with a fading memory of half a minute.
+    pub settled: f64,
+    /// Standard deviation about `settled`.
+    pub oscillation: f64,
+    /// Mean of W/Σw over the replay: the quality of the worst case; `None` if nothing was ever reachable in one of them.
+    pub mean_worst_quality: Option<f64>,
+    /// The same over the last seconds.
+    pub settled_worst_quality: Option<f64>,
+    /// Q_min, where α is solved for.
+    pub at_least: Option<f64>,
+    /// How W/Σw ≥ Q_min stands at the end of each start: `converging`, `met`, `slack` or `infeasible`. Empty without Q_min.
+    pub constraint: Vec<&'static str>,
+    /// Whether it is met or slack at the end of every start; `None` without Q_min.
+    pub converged: Option<bool>,
+    /// Whether it is infeasible at the end of some start; `None` without Q_min.
+    pub infeasible: Option<bool>,
 }
 
 /// Time series of the first start, for the report.

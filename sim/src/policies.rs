@@ -3,17 +3,25 @@
 use crate::flight::{Flight, tick_time};
 use crate::link::LinkTrace;
 use foresight_scheduler::lod_tree::LodTree;
-use foresight_scheduler::policy::foresight::{Discards, Foresight, ForesightSettings};
+use foresight_scheduler::policy::foresight::{
+    AT_LEAST, AlphaRule, ChoiceMethod, Discards, Foresight, ForesightSettings,
+};
 use foresight_scheduler::policy::{Policy, RIVALS, Rival, RivalSettings, added_benefit};
 use foresight_scheduler::predict::{PredictedPath, Predictor, PredictorKind, known_path::KnownPath};
 use foresight_scheduler::units::Time;
 use foresight_scheduler::view::View;
+use foresight_scheduler::worst_case::WorstCaseKind;
+use foresight_scheduler::worst_case::neighbourhood::NeighbourhoodKind;
+use std::str::FromStr;
 
 /// Names in the order of the comparison: those that follow the objective around the rivals of [`RIVALS`].
 pub fn names() -> impl Iterator<Item = &'static str> + Clone {
     let rivals = RIVALS.iter().map(|rival| rival.name);
     ["foresight", "added-benefit"].into_iter().chain(rivals).chain(["clairvoyant"])
 }
+
+/// Policies that `all` leaves out: `foresight` with α adapted, and with α solved for.
+pub const VARIANTS: [&str; 2] = ["foresight-adapted", "foresight-solved"];
 
 /// The rival of that name.
 pub fn rival(name: &str) -> Option<&'static Rival> {
@@ -23,6 +31,48 @@ pub fn rival(name: &str) -> Option<&'static Rival> {
 /// Whether a policy of this label knows the true path: no client could run it.
 pub fn knows_the_future(label: &str) -> bool {
     label.starts_with("clairvoyant") || label.contains("predictor=true-path")
+}
+
+/// α as asked for: a number, or where it comes from and a number to start at.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Trust {
+    /// At the start.
+    pub alpha: f64,
+    /// From then on.
+    pub rule: AlphaRule,
+}
+
+impl Trust {
+    /// What the command line accepts.
+    pub const EXPECTED: &'static str = "a number from 0 to 1, adapted, or solved";
+}
+
+impl From<f64> for Trust {
+    fn from(alpha: f64) -> Trust {
+        Trust { alpha, rule: AlphaRule::Fixed }
+    }
+}
+
+impl FromStr for Trust {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Trust, String> {
+        let alpha = ForesightSettings::default().alpha;
+        let least = text.strip_prefix("solved:at-least=").map(|q| q.parse::<f64>().ok());
+        match (text, least) {
+            ("adapted", _) => Ok(Trust { alpha, rule: AlphaRule::Adapted }),
+            ("solved", _) => Ok(Trust { alpha, rule: AlphaRule::Solved { at_least: AT_LEAST } }),
+            (_, Some(Some(at_least))) if (0.0..=1.0).contains(&at_least) => {
+                Ok(Trust { alpha, rule: AlphaRule::Solved { at_least } })
+            }
+            _ => {
+                let number = text.parse::<f64>().ok().filter(|alpha| (0.0..=1.0).contains(alpha));
+                number.map(Trust::from).ok_or_else(|| {
+                    format!("`{text}`; expected {}, or solved:at-least= with a quality from 0 to 1", Trust::EXPECTED)
+                })
+            }
+        }
+    }
 }
 
 /// A policy with its options, as on the command line: `name[:key=value…]`.
@@ -43,7 +93,7 @@ pub struct PolicySpec {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum PolicySpecError {
     /// No such policy.
-    #[error("unknown policy `{0}`; expected one of {list} or all", list = names().collect::<Vec<_>>().join(", "))]
+    #[error("unknown policy `{0}`; expected one of {list} or all", list = names().chain(VARIANTS).collect::<Vec<_>>().join(", "))]
     Name(String),
     /// No such option.
     #[error("policy {policy}: unknown option `{option}`; expected {expected}")]
@@ -69,32 +119,41 @@ pub enum PolicySpecError {
     },
 }
 
-const OBJECTIVE_OPTIONS: &str = "alpha, predictor, discards, arrival, cover, horizon, reuse, hysteresis, attenuation, \
-                                 samples, opening, falloff, tolerance, slack, turn-rate, speed or request-cost";
+const OBJECTIVE_OPTIONS: &str = "alpha, at-least, watch, predictor, discards, arrival, cover, horizon, reuse, hysteresis, attenuation, \
+                                 samples, opening, falloff, choice, tolerance, grouping, slack, turn-rate, speed, request-cost, \
+                                 worst, neighbourhood or clearance";
 
 impl PolicySpec {
     /// Parses a list separated by commas, in which `all` stands for every name. `alpha` is the default of those that have one; `error_target_px`
     /// that of the rivals that have one, instead of what each ships with.
     pub fn parse_list(
         list: &str,
-        alpha: f64,
+        alpha: impl Into<Trust>,
         error_target_px: Option<f64>,
     ) -> Result<Vec<PolicySpec>, PolicySpecError> {
+        let trust = alpha.into();
         let specs = list.split(',').map(str::trim).flat_map(|spec| match spec {
             "all" => names().collect(),
             _ => vec![spec],
         });
-        specs.map(|spec| PolicySpec::parse(spec, alpha, error_target_px)).collect()
+        specs.map(|spec| PolicySpec::parse(spec, trust, error_target_px)).collect()
     }
 
-    fn parse(spec: &str, alpha: f64, error_target_px: Option<f64>) -> Result<PolicySpec, PolicySpecError> {
+    fn parse(spec: &str, trust: Trust, error_target_px: Option<f64>) -> Result<PolicySpec, PolicySpecError> {
         let mut parts = spec.split(':');
         let given = parts.next().unwrap_or_default();
-        let name = names().find(|n| *n == given).ok_or_else(|| PolicySpecError::Name(given.to_owned()))?;
-        let base = ForesightSettings { alpha, ..ForesightSettings::default() };
+        let name =
+            names().chain(VARIANTS).find(|n| *n == given).ok_or_else(|| PolicySpecError::Name(given.to_owned()))?;
+        let base = ForesightSettings { alpha: trust.alpha, ..ForesightSettings::default() };
         let settings = match name {
             "added-benefit" => added_benefit::settings(base),
             "clairvoyant" => ForesightSettings { alpha: 1.0, predictor: PredictorKind::KnownPath, ..base },
+            "foresight" => ForesightSettings { alpha_rule: trust.rule, ..base },
+            "foresight-adapted" => ForesightSettings { alpha_rule: AlphaRule::Adapted, ..base },
+            "foresight-solved" => {
+                let at_least = if let AlphaRule::Solved { at_least } = trust.rule { at_least } else { AT_LEAST };
+                ForesightSettings { alpha_rule: AlphaRule::Solved { at_least }, ..base }
+            }
             _ => base,
         };
         let mut policy = PolicySpec {
@@ -140,7 +199,25 @@ impl PolicySpec {
         }
         let s = &mut self.settings;
         match key {
-            "alpha" => s.alpha = number(0.0, 1.0, "a number from 0 to 1")?,
+            "alpha" if value == "adapted" => s.alpha_rule = AlphaRule::Adapted,
+            "alpha" if value == "solved" => {
+                if !matches!(s.alpha_rule, AlphaRule::Solved { .. }) {
+                    s.alpha_rule = AlphaRule::Solved { at_least: AT_LEAST };
+                }
+            }
+            "alpha" => {
+                s.alpha = number(0.0, 1.0, Trust::EXPECTED)?;
+                // A variant starts there.
+                if !VARIANTS.contains(&policy) && s.alpha_rule != AlphaRule::Watched {
+                    s.alpha_rule = AlphaRule::Fixed;
+                }
+            }
+            "at-least" => s.alpha_rule = AlphaRule::Solved { at_least: number(0.0, 1.0, "a quality from 0 to 1")? },
+            "watch" => match (switch("on", "off", "on or off")?, s.alpha_rule) {
+                (true, AlphaRule::Fixed) => s.alpha_rule = AlphaRule::Watched,
+                (false, AlphaRule::Watched) => s.alpha_rule = AlphaRule::Fixed,
+                _ => {}
+            },
             "horizon" => s.horizon_s = number(0.01, 600.0, "seconds from 0.01 to 600")?,
             "reuse" => s.reuse_s = number(0.001, 60.0, "seconds from 0.001 to 60")?,
             "hysteresis" => s.hysteresis = number(0.0, 100.0, "a number from 0 to 100")?,
@@ -148,7 +225,15 @@ impl PolicySpec {
             "samples" => s.samples = number(1.0, 256.0, "a count from 1 to 256")? as usize,
             "opening" => s.cut.opening = number(0.0, 2.0, "an angle from 0 to 2")?,
             "falloff" => s.cut.centre_falloff = number(0.0, 100.0, "a number from 0 to 100")?,
-            "tolerance" => s.tolerance = number(0.0, 1.0, "a solid angle from 0 to 1")?,
+            "choice" => {
+                s.choice = if switch("certified", "sampled", "certified or sampled")? {
+                    ChoiceMethod::Certified
+                } else {
+                    ChoiceMethod::Sampled
+                }
+            }
+            "tolerance" => s.tolerance = number(0.0, 1.0, "a share from 0 to 1")?,
+            "grouping" => s.grouping = number(0.0, 1.0, "a share from 0 to 1")?,
             "turn-rate" | "speed" => {
                 let mut speeds = s.reach.declared.unwrap_or_default();
                 let value = number(0.0, 1e6, "a speed in rad/s or m/s from 0 to 1000000")?;
@@ -166,6 +251,15 @@ impl PolicySpec {
                     Discards::LeastRecentlyUsed
                 }
             }
+            "worst" => {
+                let known = WorstCaseKind::ALL.into_iter().find(|(name, _)| *name == value);
+                s.worst_case = known.ok_or_else(|| wrong("union or minimum"))?.1;
+            }
+            "neighbourhood" => {
+                let known = NeighbourhoodKind::ALL.into_iter().find(|(name, _)| *name == value);
+                s.neighbourhood = known.ok_or_else(|| wrong("free, walk, orbit or path"))?.1;
+            }
+            "clearance" => s.reach.clearance_rate = Some(number(0.0, 1e6, "a rate per second from 0 to 1000000")?),
             "predictor" if value == "true-path" => self.true_path = true,
             "predictor" => {
                 let known = PredictorKind::ALL.into_iter().find(|(name, _)| *name == value);
@@ -181,6 +275,25 @@ impl PolicySpec {
     /// The same policy aiming at another error.
     pub fn with_target(&self, px: f64) -> PolicySpec {
         PolicySpec { error_target_px: px, label: format!("{}:target={px}", self.label), ..self.clone() }
+    }
+
+    /// The reading of the worst case with the neighbourhood, for reports: `union`, `minimum (walk)`; `None` for rivals.
+    pub fn worst_case(&self) -> Option<String> {
+        let (reading, kind) = (self.settings.worst_case.name(), self.settings.neighbourhood);
+        let named =
+            if kind == NeighbourhoodKind::Free { reading.to_owned() } else { format!("{reading} ({})", kind.name()) };
+        rival(self.name).is_none().then_some(named)
+    }
+
+    /// Where α comes from, in a word; `None` where it is fixed, and for the rivals.
+    pub fn alpha_rule(&self) -> Option<&'static str> {
+        match self.settings.alpha_rule {
+            _ if rival(self.name).is_some() => None,
+            AlphaRule::Fixed => None,
+            AlphaRule::Watched => Some("watched"),
+            AlphaRule::Solved { .. } => Some("solved"),
+            AlphaRule::Adapted => Some("adapted"),
+        }
     }
 
     /// Whether it aims at an error on the screen.
@@ -249,4 +362,50 @@ fn seconds_until(link: &LinkTrace, now: Time, bytes: u64) -> f64 {
         }
     }
     rtt.secs() + Time(high).secs()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rule(list: &str, trust: impl Into<Trust>) -> (f64, AlphaRule) {
+        let spec = PolicySpec::parse_list(list, trust, None).expect("the options exist").remove(0);
+        (spec.settings.alpha, spec.settings.alpha_rule)
+    }
+
+    #[test]
+    fn alpha_is_a_number_or_a_rule() {
+        let solved = |at_least| AlphaRule::Solved { at_least };
+        for (list, expected) in [
+            ("foresight", (0.5, AlphaRule::Fixed)),
+            ("foresight:alpha=0.2", (0.2, AlphaRule::Fixed)),
+            ("foresight:alpha=0.2:watch=on", (0.2, AlphaRule::Watched)),
+            ("foresight:alpha=adapted", (0.5, AlphaRule::Adapted)),
+            ("foresight:alpha=solved", (0.5, solved(AT_LEAST))),
+            ("foresight:alpha=solved:at-least=0.3", (0.5, solved(0.3))),
+            ("foresight:at-least=0.3:alpha=solved", (0.5, solved(0.3))),
+            ("foresight-adapted:alpha=0.9", (0.9, AlphaRule::Adapted)),
+            ("foresight-solved:at-least=0.9", (0.5, solved(0.9))),
+        ] {
+            assert_eq!(rule(list, 0.5), expected, "{list}");
+        }
+        let adapted: Trust = "adapted".parse().expect("a word");
+        assert_eq!(rule("foresight", adapted).1, AlphaRule::Adapted);
+        assert_eq!(rule("foresight:alpha=0.3", adapted).1, AlphaRule::Fixed);
+        assert_eq!(rule("added-benefit", adapted), (1.0, AlphaRule::Fixed));
+        let given: Trust = "solved:at-least=0.4".parse().expect("a word with a quality");
+        assert_eq!((rule("foresight", given).1, rule("foresight-solved", given).1), (solved(0.4), solved(0.4)));
+        for wrong in ["", "1.1", "-0", "NaN", "solve", "solved:at-least=2", "solved:at-least="] {
+            let parsed = wrong.parse::<Trust>();
+            assert!(parsed.is_err() || wrong == "-0", "{wrong}: {parsed:?}");
+        }
+        for wrong in
+            ["foresight:at-least=2", "foresight:watch=yes", "foresight:alpha=adaptive", "3d-tiles-renderer:alpha=1"]
+        {
+            assert!(PolicySpec::parse_list(wrong, 0.5, None).is_err(), "{wrong}");
+        }
+        // What `all` stands for has the variants not.
+        let all = PolicySpec::parse_list("all", 0.5, None).expect("all");
+        assert!(all.iter().all(|spec| spec.alpha_rule().is_none()));
+    }
 }

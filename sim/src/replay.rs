@@ -13,6 +13,7 @@ use foresight_scheduler::benefit::cut::Cut;
 use foresight_scheduler::benefit::quality::{Quality, evaluate};
 use foresight_scheduler::lod_tree::{LodTree, RepId};
 use foresight_scheduler::policy::Policy;
+use foresight_scheduler::policy::foresight::AlphaReport;
 use foresight_scheduler::scheduler::{Action, Scheduler, SchedulerError, SchedulerSettings};
 use foresight_scheduler::state::Status;
 use foresight_scheduler::units::Time;
@@ -123,6 +124,8 @@ pub struct Run {
     pub decisions: u64,
     /// Real time that such ticks took the scheduler.
     pub decision_nanos: Vec<u64>,
+    /// What became of α, for a policy that has one.
+    pub alpha: Option<AlphaReport>,
 }
 
 /// A request under way.
@@ -408,6 +411,7 @@ impl Replay<'_> {
     fn finish(mut self) -> Run {
         self.run.bytes_unfinished = self.transfers.iter().map(|t| self.link.delivered(t.id)).sum();
         self.run.bytes_fetched = self.link.total_delivered();
+        self.run.alpha = self.scheduler.alpha();
         let left: Vec<RepId> = self.scheduler.state().resident().iter().collect();
         for rep in left {
             self.charge_if_wasted(rep);

@@ -136,7 +136,7 @@ fn specification(tape: &mut Tape) -> PolicySpec {
             &["", ":attenuation=1", ":attenuation=100"],
             &["", ":opening=0", ":opening=2"],
             &["", ":falloff=1"],
-            &["", ":tolerance=0", ":tolerance=0.1"],
+            &["", ":tolerance=0", ":choice=sampled", ":choice=sampled:grouping=0"],
             &["", ":slack=0", ":slack=10"],
             &["", ":request-cost=0.5"],
         ],

@@ -1,6 +1,7 @@
 //! Which error each node is shown with: the resident set, folded onto the tree.
 
 use crate::lod_tree::{LodTree, NodeId, RepId};
+use crate::sparse::{IdMap, RepSet};
 
 /// Whether a representation counts as soon as it is there.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -12,46 +13,43 @@ pub enum Refinement {
     Atomic,
 }
 
+/// How a node takes part in what is shown.
+#[derive(Clone, Copy, Debug)]
+struct Part {
+    /// The least error among the node's own representations that count; ∞ if none does.
+    best: f32,
+    /// How many nodes strictly beneath it have a representation that counts.
+    beneath: u32,
+}
+
+/// A sibling group of which something is there.
+#[derive(Clone, Copy, Debug)]
+struct Group {
+    members: u32,
+    /// Members that have a representation.
+    present: u32,
+}
+
 /// A set of representations, kept so that the best error at or above a node is found by walking up, and a subtree in
-/// which nothing is shown by itself is recognised at once. Insertion and removal take time in the depth of the tree.
+/// which nothing is shown by itself is recognised at once. Insertion and removal take time in the depth of the tree;
+/// memory is taken for the members and the nodes above them only.
 #[derive(Clone, Debug)]
 pub struct Coverage {
     refinement: Refinement,
-    /// Bit per representation.
-    held: Vec<u64>,
-    /// Per node, the least error among its own representations that count; ∞ if none does.
-    best: Vec<f32>,
-    /// Per node, how many representations at nodes strictly beneath it count.
-    beneath: Vec<u32>,
-    /// Under `Atomic`, per content parent (last: the top), members of its group that are still missing.
-    missing: Vec<u32>,
+    held: RepSet,
+    /// The nodes at or beneath which something counts.
+    parts: IdMap<Part>,
+    /// Under `Atomic`, by content parent, the groups of which something is there.
+    groups: IdMap<Group>,
 }
 
+/// Stands for the content parent of the topmost group; no node has this number.
+const TOP: u32 = u32::MAX;
+
 impl Coverage {
-    /// The empty set.
-    pub fn new(tree: &LodTree, refinement: Refinement) -> Coverage {
-        let mut missing = Vec::new();
-        if refinement == Refinement::Atomic {
-            missing = vec![0; tree.nodes() + 1];
-            // Preorder: a node's content parent is known before the node.
-            let mut content_parent = vec![tree.nodes() as u32; tree.nodes()];
-            for node in (0..tree.nodes() as u32).map(NodeId) {
-                if let Some(parent) = tree.parent(node) {
-                    content_parent[node.index()] =
-                        if tree.own(parent).len() > 0 { parent.0 } else { content_parent[parent.index()] };
-                }
-                if tree.own(node).len() > 0 {
-                    missing[content_parent[node.index()] as usize] += 1;
-                }
-            }
-        }
-        Coverage {
-            refinement,
-            held: vec![0; tree.representations().div_ceil(64)],
-            best: vec![f32::INFINITY; tree.nodes()],
-            beneath: vec![0; tree.nodes()],
-            missing,
-        }
+    /// The empty set of representations of a tree.
+    pub fn new(_tree: &LodTree, refinement: Refinement) -> Coverage {
+        Coverage { refinement, held: RepSet::default(), parts: IdMap::default(), groups: IdMap::default() }
     }
 
     /// The refinement given at the start.
@@ -59,22 +57,35 @@ impl Coverage {
         self.refinement
     }
 
-    /// Whether `rep` is in the set.
-    pub fn contains(&self, rep: RepId) -> bool {
-        self.held[rep.index() / 64] >> (rep.index() % 64) & 1 != 0
+    /// Bytes that the set occupies.
+    pub fn heap_bytes(&self) -> usize {
+        self.held.heap_bytes() + self.parts.allocation_size() + self.groups.allocation_size()
     }
 
-    /// The members in order of id.
+    /// Whether `rep` is in the set.
+    pub fn contains(&self, rep: RepId) -> bool {
+        self.held.contains(rep)
+    }
+
+    /// The members in order of id; they are sorted first.
     pub fn iter(&self) -> impl Iterator<Item = RepId> + '_ {
-        self.held.iter().enumerate().flat_map(|(word, &bits)| {
-            core::iter::successors((bits != 0).then_some(bits), |b| Some(b & (b - 1)).filter(|b| *b != 0))
-                .map(move |b| RepId((word * 64) as u32 + b.trailing_zeros()))
-        })
+        self.held.iter()
+    }
+
+    /// Least error (m) among the node's own representations that count, ∞ if none does; and whether something strictly
+    /// beneath the node counts.
+    pub fn at(&self, node: NodeId) -> (f32, bool) {
+        self.parts.get(&node.0).map_or((f32::INFINITY, false), |part| (part.best, part.beneath > 0))
     }
 
     /// Least error (m) among the node's own representations that count; ∞ if none does.
     pub fn best_at(&self, node: NodeId) -> f32 {
-        self.best[node.index()]
+        self.at(node).0
+    }
+
+    /// Whether something strictly beneath the node counts.
+    pub fn any_beneath(&self, node: NodeId) -> bool {
+        self.at(node).1
     }
 
     /// Least error (m) at the node or above it; ∞ where nothing is shown.
@@ -86,7 +97,7 @@ impl Coverage {
     pub fn shown_at(&self, tree: &LodTree, node: NodeId) -> (Option<NodeId>, f32) {
         let mut shown = (None, f32::INFINITY);
         for above in tree.ancestors(node) {
-            let error = self.best[above.index()];
+            let error = self.best_at(above);
             if error < shown.1 {
                 shown = (Some(above), error);
                 if tree.errors_fall() {
@@ -97,29 +108,45 @@ impl Coverage {
         shown
     }
 
-    /// Whether something strictly beneath the node counts.
-    pub fn any_beneath(&self, node: NodeId) -> bool {
-        self.beneath[node.index()] > 0
+    /// The same as [`Coverage::shown_at`] for many nodes in ascending order, at or beneath `top`.
+    pub fn sweep<'a>(&'a self, tree: &'a LodTree, top: NodeId) -> Sweep<'a> {
+        self.sweep_beneath(tree, top, self.shown_at(tree, top))
+    }
+
+    /// A sweep as if `top` were shown by `shown`, whatever is at it and above it.
+    pub fn sweep_beneath<'a>(&'a self, tree: &'a LodTree, top: NodeId, shown: (Option<NodeId>, f32)) -> Sweep<'a> {
+        let level = Level { node: top, end: tree.subtree_end(top), shown, any_beneath: self.any_beneath(top) };
+        Sweep { coverage: self, tree, levels: vec![level] }
     }
 
     /// Whether the whole sibling group of `node` is there, so that it may count. Always true under `Partial`.
     pub fn counts(&self, tree: &LodTree, node: NodeId) -> bool {
-        self.refinement == Refinement::Partial || self.missing[group_index(tree, node)] == 0
+        if self.refinement == Refinement::Partial {
+            return true;
+        }
+        match self.groups.get(&group_key(tree, node)) {
+            Some(group) => group.present == group.members,
+            // Nothing of the group is there; it is whole only if it has no members.
+            None => tree.own(node).len() == 0 && tree.sibling_group(tree.content_parent(node)).is_empty(),
+        }
     }
 
     /// Adds a representation; false if it was there.
     pub fn insert(&mut self, tree: &LodTree, rep: RepId) -> bool {
-        if self.contains(rep) {
+        let node = tree.node_of(rep);
+        let first_of_node = self.refinement == Refinement::Atomic && !tree.own(node).any(|r| self.contains(r));
+        if !self.held.insert(rep) {
             return false;
         }
-        let node = tree.node_of(rep);
-        let first_of_node = !tree.own(node).any(|r| self.contains(r));
-        self.held[rep.index() / 64] |= 1 << (rep.index() % 64);
-        if self.refinement == Refinement::Atomic && first_of_node {
-            let group = group_index(tree, node);
-            self.missing[group] -= 1;
-            if self.missing[group] == 0 {
-                for member in tree.sibling_group(tree.content_parent(node)) {
+        if first_of_node {
+            let parent = tree.content_parent(node);
+            let group = self
+                .groups
+                .entry(parent.map_or(TOP, |p| p.0))
+                .or_insert_with(|| Group { members: tree.sibling_group(parent).len() as u32, present: 0 });
+            group.present += 1;
+            if group.present == group.members {
+                for member in tree.sibling_group(parent) {
                     self.refresh(tree, member, true);
                 }
                 return true;
@@ -132,15 +159,21 @@ impl Coverage {
 
     /// Takes a representation out; false if it was not there.
     pub fn remove(&mut self, tree: &LodTree, rep: RepId) -> bool {
-        if !self.contains(rep) {
+        if !self.held.remove(rep) {
             return false;
         }
         let node = tree.node_of(rep);
-        self.held[rep.index() / 64] &= !(1 << (rep.index() % 64));
         if self.refinement == Refinement::Atomic && !tree.own(node).any(|r| self.contains(r)) {
-            let group = group_index(tree, node);
-            self.missing[group] += 1;
-            if self.missing[group] == 1 {
+            let key = group_key(tree, node);
+            let mut was_whole = false;
+            if let Some(group) = self.groups.get_mut(&key) {
+                was_whole = group.present == group.members;
+                group.present -= 1;
+                if group.present == 0 {
+                    self.groups.remove(&key);
+                }
+            }
+            if was_whole {
                 for member in tree.sibling_group(tree.content_parent(node)) {
                     self.refresh(tree, member, false);
                 }
@@ -159,17 +192,93 @@ impl Coverage {
         } else {
             f32::INFINITY
         };
-        let (was, is) = (self.best[node.index()] < f32::INFINITY, best < f32::INFINITY);
-        self.best[node.index()] = best;
-        if was != is {
+        let was = self.best_at(node);
+        self.change(node, |part| part.best = best);
+        if (was < f32::INFINITY) != (best < f32::INFINITY) {
             for above in tree.ancestors(node).skip(1) {
-                let count = &mut self.beneath[above.index()];
-                *count = if is { *count + 1 } else { *count - 1 };
+                let step = if best < f32::INFINITY { 1 } else { -1 };
+                self.change(above, |part| part.beneath = part.beneath.saturating_add_signed(step));
             }
+        }
+    }
+
+    /// Alters a node's part; what takes no part is not kept.
+    fn change(&mut self, node: NodeId, alter: impl FnOnce(&mut Part)) {
+        let part = self.parts.entry(node.0).or_insert(Part { best: f32::INFINITY, beneath: 0 });
+        alter(part);
+        if part.beneath == 0 && part.best == f32::INFINITY {
+            self.parts.remove(&node.0);
         }
     }
 }
 
-fn group_index(tree: &LodTree, node: NodeId) -> usize {
-    tree.content_parent(node).map_or(tree.nodes(), NodeId::index)
+/// A node of the path from the top of a sweep to where it is.
+#[derive(Clone, Copy, Debug)]
+struct Level {
+    node: NodeId,
+    end: NodeId,
+    shown: (Option<NodeId>, f32),
+    any_beneath: bool,
+}
+
+/// Asks what shows one node after the other: each node above them is looked up once, and nothing beneath a node beneath
+/// which nothing counts.
+#[derive(Debug)]
+pub struct Sweep<'a> {
+    coverage: &'a Coverage,
+    tree: &'a LodTree,
+    /// From the top down, each within the one before.
+    levels: Vec<Level>,
+}
+
+impl Sweep<'_> {
+    /// Begins anew at the top.
+    pub fn restart(&mut self) {
+        self.levels.truncate(1);
+    }
+
+    /// The node at or above `node` whose own representations show it best, with which error (∞ for nothing), and whether
+    /// something beneath `node` counts. `node` lies beneath the top and is not less than the one asked for before.
+    #[inline]
+    pub fn shown_at(&mut self, node: NodeId) -> (Option<NodeId>, f32, bool) {
+        let last = &self.levels[self.levels.len() - 1];
+        if node < last.end && !last.any_beneath {
+            return (last.shown.0, last.shown.1, false);
+        }
+        self.descend(node)
+    }
+
+    fn descend(&mut self, node: NodeId) -> (Option<NodeId>, f32, bool) {
+        while self.levels.len() > 1 && self.levels[self.levels.len() - 1].end <= node {
+            self.levels.pop();
+        }
+        let known = self.levels.len();
+        let last = &self.levels[known - 1];
+        let (from, mut shown, mut any_beneath) = (last.node, last.shown, last.any_beneath);
+        if any_beneath && from != node {
+            for n in self.tree.ancestors(node).take_while(|&n| n != from) {
+                self.levels.push(Level { node: n, end: self.tree.subtree_end(n), shown, any_beneath });
+            }
+            self.levels[known..].reverse();
+            for i in known..self.levels.len() {
+                let level = &mut self.levels[i];
+                let own;
+                (own, any_beneath) = self.coverage.at(level.node);
+                // Of equals, the nearest shows it.
+                if own <= shown.1 && own < f32::INFINITY {
+                    shown = (Some(level.node), own);
+                }
+                (level.shown, level.any_beneath) = (shown, any_beneath);
+                if !any_beneath {
+                    self.levels.truncate(i + 1);
+                    break;
+                }
+            }
+        }
+        (shown.0, shown.1, any_beneath)
+    }
+}
+
+fn group_key(tree: &LodTree, node: NodeId) -> u32 {
+    tree.content_parent(node).map_or(TOP, |parent| parent.0)
 }

@@ -10,6 +10,7 @@ use super::accuracy::sharpness;
 use super::frustum::{Frustum, Side};
 use super::{solid_angle, weight};
 use crate::lod_tree::{LodTree, NodeId};
+use crate::setting::{SettingError, within};
 use crate::view::View;
 use glam::DVec3;
 
@@ -27,6 +28,15 @@ pub struct CutSettings {
 impl Default for CutSettings {
     fn default() -> CutSettings {
         CutSettings { opening: 0.15, near: 0.1, centre_falloff: 0.0 }
+    }
+}
+
+impl CutSettings {
+    /// Refuses what no weight could be computed with, naming the field.
+    pub fn check(&self) -> Result<(), SettingError> {
+        within("opening", self.opening, (0.0, 1e12), "radians from 0 to 1e12")?;
+        within("near", self.near, (1e-30, 1e30), "metres from 1e-30 to 1e30")?;
+        within("centre_falloff", self.centre_falloff, (0.0, 1e12), "a number from 0 to 1e12")
     }
 }
 
@@ -75,31 +85,20 @@ pub enum Region {
 impl Cut {
     /// Makes the cut of `view` into `self`, reusing its memory.
     pub fn make(&mut self, tree: &LodTree, view: &View, region: Region, settings: &CutSettings) {
-        let frustum = Frustum::new(view);
+        let eye = Eye::new(view, region, settings);
         self.patches.clear();
         self.total_weight = 0.0;
-        self.eye = frustum.eye;
-        let widened = match region {
-            Region::Frustum => Widened::new(&frustum, 0.0, 0.0),
-            Region::Reachable { angle, reach, .. } => Widened::new(&frustum, angle, reach),
-        };
+        self.eye = eye.frustum.eye;
         let end = tree.nodes() as u32;
         let mut next = 0u32;
         // Beneath a node that lies inside as a whole no plane needs to be looked at.
         let mut inside_until = 0u32;
         while next < end {
             let node = NodeId(next);
-            let centre = tree.centre(node) - frustum.eye;
+            let centre = tree.centre(node) - self.eye;
             let half = tree.half(node);
             let subtree_end = tree.subtree_end(node).0;
-            let side = if next < inside_until {
-                Side::Inside
-            } else {
-                match region {
-                    Region::Frustum => frustum.side(centre, half),
-                    Region::Reachable { .. } => widened.side(centre, half),
-                }
-            };
+            let side = if next < inside_until { Side::Inside } else { eye.side(centre, half) };
             if side == Side::Outside {
                 next = subtree_end;
                 continue;
@@ -108,40 +107,78 @@ impl Cut {
                 inside_until = subtree_end;
             }
             let is_leaf = subtree_end == next + 1;
-            let radius_squared = half.length_squared();
-            let distance_squared = centre.length_squared();
-            // A group across the border of the view is opened twice as far: its share inside is a ramp.
-            let opening = if side == Side::Inside { settings.opening } else { 0.5 * settings.opening };
-            let is_far = radius_squared < opening * opening * distance_squared;
+            let is_far = eye.is_far(centre, half, side);
             if !is_leaf && !is_far {
                 next += 1;
                 continue;
             }
-            self.push(tree, node, centre, half, is_far, side, &frustum, region, settings);
+            if let Some((weight, sharpness)) = eye.weigh(tree, node, centre, half, is_far, side) {
+                self.total_weight += weight;
+                self.patches.push(Patch { node, weight, sharpness });
+            }
             next = subtree_end;
         }
-        self.scale =
-            if self.total_weight > frustum.solid_angle { frustum.solid_angle / self.total_weight } else { 1.0 };
+        self.scale = eye.scale(self.total_weight);
+    }
+}
+
+/// One view with the directions that count for it: what a box weighs there.
+#[derive(Clone, Debug)]
+pub struct Eye {
+    /// The view's frustum.
+    pub frustum: Frustum,
+    region: Region,
+    widened: Widened,
+    settings: CutSettings,
+}
+
+impl Eye {
+    /// The eye of a view that has passed [`View::check`].
+    pub fn new(view: &View, region: Region, settings: &CutSettings) -> Eye {
+        let frustum = Frustum::new(view);
+        let widened = match region {
+            Region::Frustum => Widened::new(&frustum, 0.0, 0.0),
+            Region::Reachable { angle, reach, .. } => Widened::new(&frustum, angle, reach),
+        };
+        Eye { frustum, region, widened, settings: *settings }
     }
 
-    #[expect(clippy::too_many_arguments, reason = "all computed by the loop above, and used once")]
-    fn push(
-        &mut self,
+    /// Where a box lies, by its centre relative to the eye and its half sides, metres.
+    pub fn side(&self, centre: DVec3, half: DVec3) -> Side {
+        match self.region {
+            Region::Frustum => self.frustum.side(centre, half),
+            Region::Reachable { .. } => self.widened.side(&self.frustum, centre, half),
+        }
+    }
+
+    /// Whether a box is small enough from here to count as a group. Across the border of the view it has to be half as
+    /// large: its share inside is a ramp.
+    pub fn is_far(&self, centre: DVec3, half: DVec3, side: Side) -> bool {
+        let opening = if side == Side::Inside { self.settings.opening } else { 0.5 * self.settings.opening };
+        half.length_squared() < opening * opening * centre.length_squared()
+    }
+
+    /// min(1, Ω/Σw) for the weights `total` of everything seen.
+    pub fn scale(&self, total: f64) -> f64 {
+        if total > self.frustum.solid_angle { self.frustum.solid_angle / total } else { 1.0 }
+    }
+
+    /// Weight (sr) and sharpness (m⁻²) of a leaf, or of a group that is far; `None` if it weighs nothing.
+    pub fn weigh(
+        &self,
         tree: &LodTree,
         node: NodeId,
         centre: DVec3,
         half: DVec3,
         is_far: bool,
         side: Side,
-        frustum: &Frustum,
-        region: Region,
-        settings: &CutSettings,
-    ) {
+    ) -> Option<(f64, f64)> {
+        let frustum = &self.frustum;
         let centre_distance = centre.length();
         let mut weight = if is_far {
             weight::of_group(tree.face_areas(node), centre, centre_distance)
         } else {
-            let exact = match (region, side) {
+            let exact = match (self.region, side) {
                 (Region::Frustum, Side::Straddles(planes)) => {
                     solid_angle::of_box_in_frustum(centre, half, frustum, planes)
                 }
@@ -150,22 +187,31 @@ impl Cut {
             };
             tree.importance(node) * exact
         };
-        if let (true, Region::Frustum, Side::Straddles(planes)) = (is_far, region, side) {
+        if let (true, Region::Frustum, Side::Straddles(planes)) = (is_far, self.region, side) {
             weight *= weight::share_inside(&frustum.planes, centre, half, planes);
         }
-        if settings.centre_falloff > 0.0 && matches!(region, Region::Frustum) {
-            weight /= weight::off_centre(settings.centre_falloff, frustum.forward, centre, centre_distance);
+        if self.settings.centre_falloff > 0.0 && matches!(self.region, Region::Frustum) {
+            weight /= weight::off_centre(self.settings.centre_falloff, frustum.forward, centre, centre_distance);
         }
         if weight.is_nan() || weight <= 0.0 {
-            return;
+            return None;
         }
-        let mut distance = if tree.is_leaf(node) { weight::nearest_distance(centre, half) } else { centre_distance };
-        if let Region::Reachable { reach, stand_off, .. } = region {
-            distance = (distance - reach).max(stand_off);
-        }
-        let sharpness = sharpness(frustum.pixels_per_radian, distance.max(settings.near));
-        self.total_weight += weight;
-        self.patches.push(Patch { node, weight, sharpness });
+        let distance = if tree.is_leaf(node) { weight::nearest_distance(centre, half) } else { centre_distance };
+        Some((weight, sharpness(frustum.pixels_per_radian, self.shown_distance(distance))))
+    }
+
+    /// The distance at which what is `distance` away is shown, metres: less by what can be moved, and floored.
+    pub fn shown_distance(&self, distance: f64) -> f64 {
+        let distance = match self.region {
+            Region::Reachable { reach, stand_off, .. } => (distance - reach).max(stand_off),
+            Region::Frustum => distance,
+        };
+        distance.max(self.settings.near)
+    }
+
+    /// Whether this is the worst case's region instead of a view's frustum.
+    pub fn is_reachable(&self) -> bool {
+        matches!(self.region, Region::Reachable { .. })
     }
 }
 
@@ -174,9 +220,9 @@ pub fn projected_area(tree: &LodTree, node: NodeId, direction: DVec3) -> f64 {
     weight::projected_area(tree.face_areas(node), direction)
 }
 
-/// A frustum turned by up to `angle` and moved by up to `reach`, with the sines and cosines that its test needs.
-struct Widened<'a> {
-    frustum: &'a Frustum,
+/// A frustum turned by up to `angle` and moved by up to `reach`: the sines and cosines that its test needs.
+#[derive(Clone, Copy, Debug)]
+struct Widened {
     reach: f64,
     /// Planes are passed by directions at most this far behind them.
     plane: Angle,
@@ -185,7 +231,7 @@ struct Widened<'a> {
 }
 
 /// An angle in [0, π] with its sine and cosine.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 struct Angle {
     radians: f64,
     sin: f64,
@@ -199,13 +245,13 @@ impl Angle {
     }
 }
 
-impl<'a> Widened<'a> {
-    fn new(frustum: &'a Frustum, angle: f64, reach: f64) -> Widened<'a> {
-        Widened { frustum, reach, plane: Angle::new(angle), corner: Angle::new(frustum.corner_angle + angle) }
+impl Widened {
+    fn new(frustum: &Frustum, angle: f64, reach: f64) -> Widened {
+        Widened { reach, plane: Angle::new(angle), corner: Angle::new(frustum.corner_angle + angle) }
     }
 
     /// As [`Frustum::side`]; never misses a box.
-    fn side(&self, centre: DVec3, half: DVec3) -> Side {
+    fn side(&self, frustum: &Frustum, centre: DVec3, half: DVec3) -> Side {
         const EVERY_PLANE: u8 = 0b1111;
         const HALF_PI: f64 = core::f64::consts::FRAC_PI_2;
         let distance = centre.length();
@@ -216,7 +262,7 @@ impl<'a> Widened<'a> {
         // Half the cone of directions in which the moved box can be seen, κ < π/2.
         let cone_sin = radius / distance;
         let cone_cos = (1.0 - cone_sin * cone_sin).max(0.0).sqrt();
-        let along = self.frustum.forward.dot(centre) / distance;
+        let along = frustum.forward.dot(centre) / distance;
         // Off the centre by more than corner + κ? Cosines fall on [0, π]; beyond π nothing is off.
         let corner_is_wide = self.corner.radians >= HALF_PI
             && self.corner.cos * cone_cos - self.corner.sin * cone_sin > self.corner.cos
@@ -234,7 +280,7 @@ impl<'a> Widened<'a> {
         if self.plane.radians >= HALF_PI {
             return side;
         }
-        for plane in &self.frustum.planes {
+        for plane in &frustum.planes {
             let height = plane.dot(centre) / distance;
             let reaches_pole = self.plane.cos * cone_cos - self.plane.sin * cone_sin <= 0.0;
             if !reaches_pole && height < -(self.plane.sin * cone_cos + self.plane.cos * cone_sin) {

@@ -40,8 +40,9 @@ pub struct Shown {
 pub fn evaluate(tree: &LodTree, cut: &Cut, coverage: &Coverage, mut shown: impl FnMut(Shown)) -> Quality {
     let mut quality = Quality::default();
     let mut stack = Vec::new();
+    let mut sweep = coverage.sweep(tree, tree.root());
     for patch in &cut.patches {
-        let (owner, error) = coverage.shown_at(tree, patch.node);
+        let (owner, error, any_beneath) = sweep.shown_at(patch.node);
         quality.weight += patch.weight;
         let mut count = |part: Shown| {
             if part.owner.is_some() {
@@ -52,7 +53,7 @@ pub fn evaluate(tree: &LodTree, cut: &Cut, coverage: &Coverage, mut shown: impl 
             }
             shown(part);
         };
-        if coverage.any_beneath(patch.node) {
+        if any_beneath {
             divide(tree, cut, coverage, patch, (owner, error), &mut stack, &mut count);
         } else {
             count(Shown { owner, error, weight: patch.weight, sharpness: patch.sharpness });
@@ -78,9 +79,9 @@ fn divide(
     stack.push((patch.node, above.0, above.1));
     while let Some((node, owner, error)) = stack.pop() {
         for child in tree.children(node) {
-            let own = coverage.best_at(child);
+            let (own, any_beneath) = coverage.at(child);
             let (owner, error) = if own < error { (Some(child), own) } else { (owner, error) };
-            if coverage.any_beneath(child) {
+            if any_beneath {
                 stack.push((child, owner, error));
             } else {
                 let weight = density * projected_area(tree, child, direction);

@@ -4,13 +4,14 @@
 //! (α = 1), no discards planned: when memory is full, the least recently used go. Settled: the gain counts from now, as
 //! eq. 2 prints it, not from the arrival; and used is what is best in the nearest sampled view, at every sampling.
 
-use super::foresight::{Discards, Foresight, ForesightSettings};
+use super::foresight::{AlphaRule, Discards, Foresight, ForesightSettings};
 use crate::predict::PredictorKind;
 
 /// The settings that make the common machinery this policy.
 pub fn settings(base: ForesightSettings) -> ForesightSettings {
     ForesightSettings {
         alpha: 1.0,
+        alpha_rule: AlphaRule::Fixed,
         discards: Discards::LeastRecentlyUsed,
         gains_from_arrival: false,
         cover_first: false,

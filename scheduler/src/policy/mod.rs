@@ -115,6 +115,8 @@ rivals! {
 
 use crate::lod_tree::{LodTree, RepId};
 use crate::scheduler::Action;
+use crate::select::certified::Certificate;
+use crate::setting::{SettingError, within};
 use crate::state::ClientState;
 use crate::units::Time;
 use crate::view::View;
@@ -136,8 +138,18 @@ pub trait Policy: Send {
     /// A request or its decoding failed.
     fn failed(&mut self, _state: &ClientState, _rep: RepId, _now: Time) {}
 
+    /// What became of α, for a policy that has one.
+    fn alpha(&self) -> Option<foresight::AlphaReport> {
+        None
+    }
+
     /// The client has said where it will go.
     fn announce_path(&mut self, _path: &[(Time, View)]) {}
+
+    /// What is proven about the last choice, by a policy that proves something.
+    fn certificate(&self) -> Option<Certificate> {
+        None
+    }
 }
 
 /// A policy of another viewer or paper, as a comparison offers it.
@@ -162,4 +174,12 @@ pub struct RivalSettings {
     pub error_target_px: f64,
     /// Requests in flight at once.
     pub parallel: usize,
+}
+
+impl RivalSettings {
+    /// Refuses an aim or a number of requests that has no meaning, naming the field.
+    pub fn check(&self) -> Result<(), SettingError> {
+        within("error_target_px", self.error_target_px, (1e-6, 1e12), "pixels from 1e-6 to 1e12")?;
+        within("parallel", self.parallel as f64, (1.0, 1e6), "a count from 1 to 1e6")
+    }
 }

@@ -1,7 +1,7 @@
 //! The camera keeps turning: the velocity and the view turn together at the present rate.
 
 use super::motion::{Motion, moved};
-use super::{PredictedPath, Predictor};
+use super::{PredictedPath, Predictor, are_ahead};
 use crate::units::Time;
 use crate::view::View;
 use glam::DVec3;
@@ -31,7 +31,7 @@ impl Predictor for ConstantTurn {
     }
 
     fn predict(&self, now: Time, offsets: &[f64]) -> Vec<PredictedPath> {
-        let Some((seen, view)) = self.motion.latest() else { return Vec::new() };
+        let Some((seen, view)) = self.motion.latest().filter(|_| are_ahead(offsets)) else { return Vec::new() };
         let lag = now.since(*seen).secs();
         let (velocity, rate) = (self.motion.velocity(), self.motion.rotation_rate());
         let views = offsets

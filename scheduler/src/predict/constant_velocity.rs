@@ -1,7 +1,7 @@
 //! The camera goes on as it moves now and keeps looking where it looks.
 
 use super::motion::{Motion, moved};
-use super::{PredictedPath, Predictor};
+use super::{PredictedPath, Predictor, are_ahead};
 use crate::units::Time;
 use crate::view::View;
 use glam::DVec3;
@@ -18,7 +18,7 @@ impl Predictor for ConstantVelocity {
     }
 
     fn predict(&self, now: Time, offsets: &[f64]) -> Vec<PredictedPath> {
-        let Some((seen, view)) = self.motion.latest() else { return Vec::new() };
+        let Some((seen, view)) = self.motion.latest().filter(|_| are_ahead(offsets)) else { return Vec::new() };
         let lag = now.since(*seen).secs();
         let velocity = self.motion.velocity();
         let views = offsets.iter().map(|u| moved(view, view.position + velocity * (lag + u), DVec3::ZERO)).collect();

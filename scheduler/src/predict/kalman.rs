@@ -5,7 +5,7 @@
 //! x' = x + T(1−e)v, v' = e·v, and the covariance of the noise in closed form.
 
 use super::motion::{moved, rotation_vector};
-use super::{PredictedPath, Predictor};
+use super::{PredictedPath, Predictor, are_ahead};
 use crate::units::Time;
 use crate::view::View;
 use glam::{DQuat, DVec3};
@@ -131,7 +131,7 @@ impl Predictor for Kalman {
     }
 
     fn predict(&self, now: Time, offsets: &[f64]) -> Vec<PredictedPath> {
-        let Some(f) = &self.filter else { return Vec::new() };
+        let Some(f) = self.filter.as_ref().filter(|_| are_ahead(offsets)) else { return Vec::new() };
         let lag = now.since(f.at).secs();
         let from = View { position: f.position, orientation: f.orientation, ..f.view };
         let views = offsets

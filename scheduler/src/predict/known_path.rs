@@ -1,6 +1,6 @@
 //! The client has said where it goes (`flyTo`, a tour, a recording): the prediction is that path, as far as it was said.
 
-use super::{PredictedPath, Predictor};
+use super::{PredictedPath, Predictor, are_ahead};
 use crate::units::Time;
 use crate::view::View;
 
@@ -34,6 +34,9 @@ impl Predictor for KnownPath {
     }
 
     fn predict(&self, now: Time, offsets: &[f64]) -> Vec<PredictedPath> {
+        if !are_ahead(offsets) {
+            return Vec::new();
+        }
         let views: Option<Vec<View>> = offsets.iter().map(|u| self.at(now + Time::from_secs(*u))).collect();
         views.map(|views| vec![PredictedPath { weight: 1.0, views }]).unwrap_or_default()
     }

@@ -7,7 +7,7 @@
 use super::constant_turn::turned_displacement;
 use super::kalman::Kalman;
 use super::motion::{Motion, moved, rotation_vector};
-use super::{PredictedPath, Predictor};
+use super::{PredictedPath, Predictor, are_ahead};
 use crate::units::Time;
 use crate::view::View;
 use glam::{DQuat, DVec3};
@@ -150,7 +150,7 @@ impl Predictor for Mixture {
     }
 
     fn predict(&self, now: Time, offsets: &[f64]) -> Vec<PredictedPath> {
-        if self.motion.latest().is_none() {
+        if self.motion.latest().is_none() || !are_ahead(offsets) {
             return Vec::new();
         }
         let believed: f64 = self.weight.iter().filter(|w| **w >= LEAST_WEIGHT).sum();

@@ -25,7 +25,7 @@ pub trait Predictor: Send {
     fn observe(&mut self, view: &View, now: Time);
 
     /// Paths at `now + offsets` (seconds, ascending, not negative); at least one, weights summing to 1. Empty before
-    /// the first observation.
+    /// the first observation, and where an offset is not a number from 0 to 10⁹.
     fn predict(&self, now: Time, offsets: &[f64]) -> Vec<PredictedPath>;
 
     /// The client has said where it will go. Whether predictions of what was already announced have changed: what was
@@ -33,6 +33,11 @@ pub trait Predictor: Send {
     fn announce_path(&mut self, _path: &[(Time, View)]) -> bool {
         false
     }
+}
+
+/// Whether a prediction can be made that far ahead.
+fn are_ahead(offsets: &[f64]) -> bool {
+    offsets.iter().all(|u| (0.0..=1e9).contains(u))
 }
 
 /// The predictors by name.

@@ -7,6 +7,10 @@ use std::collections::VecDeque;
 
 /// Span over which velocities are taken, seconds: long enough to even out tracking noise.
 const BASELINE_S: f64 = 0.2;
+/// Two views nearer in time than this say nothing about a velocity, seconds.
+const LEAST_SPAN_S: f64 = 1e-3;
+/// Radians up to which a rotation is known from its ends alone.
+const HALF_TURN: f64 = core::f64::consts::PI;
 /// Span of motion that the percentiles look back on, seconds.
 const MEMORY_S: f64 = 10.0;
 /// Spacing of the speeds kept for the percentiles, seconds.
@@ -73,22 +77,31 @@ impl Motion {
         self.recent.back()
     }
 
+    /// The oldest and the newest view of the baseline and the seconds between them, if that is long enough.
+    fn baseline(&self) -> Option<(&View, &View, f64)> {
+        let ((from, a), (to, b)) = (self.recent.front()?, self.recent.back()?);
+        let span = to.since(*from).secs();
+        (span >= LEAST_SPAN_S).then_some((a, b, span))
+    }
+
     /// Velocity, m/s, world space.
     pub fn velocity(&self) -> DVec3 {
-        match (self.recent.front(), self.recent.back()) {
-            (Some((t0, a)), Some((t1, b))) if t1 > t0 => (b.position - a.position) / t1.since(*t0).secs(),
-            _ => DVec3::ZERO,
-        }
+        self.baseline().map_or(DVec3::ZERO, |(a, b, span)| (b.position - a.position) / span)
     }
 
     /// Rotation rate as an axis times rad/s, world space.
     pub fn rotation_rate(&self) -> DVec3 {
-        match (self.recent.front(), self.recent.back()) {
-            (Some((t0, a)), Some((t1, b))) if t1 > t0 => {
-                rotation_vector(b.orientation * a.orientation.conjugate()) / t1.since(*t0).secs()
-            }
-            _ => DVec3::ZERO,
+        let Some((a, b, span)) = self.baseline() else { return DVec3::ZERO };
+        let turn = rotation_vector(b.orientation * a.orientation.conjugate());
+        // From one view to the next: over the whole baseline, more than half a turn would look like less.
+        let steps = self.recent.iter().zip(self.recent.iter().skip(1));
+        let (mut sum, mut length) = (DVec3::ZERO, 0.0);
+        for ((_, from), (_, to)) in steps {
+            let step = rotation_vector(to.orientation * from.orientation.conjugate());
+            sum += step;
+            length += step.length();
         }
+        (if length < HALF_TURN { turn } else { sum }) / span
     }
 
     /// 95th percentile of the speeds over the last ten seconds.

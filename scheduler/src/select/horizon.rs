@@ -6,7 +6,7 @@
 //! below a tolerance, so that every choice that matters has its own patches.
 
 use crate::benefit::accuracy::accuracy;
-use crate::benefit::coverage::{Coverage, Refinement};
+use crate::benefit::coverage::{Coverage, Refinement, Sweep};
 use crate::benefit::cut::{Cut, CutSettings, Patch, Region, projected_area};
 use crate::lod_tree::{LodTree, NodeId, RepId};
 use crate::predict::PredictedPath;
@@ -61,6 +61,21 @@ pub struct HorizonSettings {
     pub cut: CutSettings,
 }
 
+/// The worst case, as a horizon samples it.
+#[derive(Clone, Copy, Debug)]
+pub enum Worst<'a> {
+    /// Everything in the region reachable from the view, as one cut.
+    Union(&'a View, Region),
+    /// Single reachable views, the worst ones; their weights sum to 1.
+    Views(&'a [(f64, View)]),
+}
+
+impl<'a> From<(&'a View, Region)> for Worst<'a> {
+    fn from((view, region): (&'a View, Region)) -> Worst<'a> {
+        Worst::Union(view, region)
+    }
+}
+
 /// The sampled objective from one moment on.
 #[derive(Clone, Debug, Default)]
 pub struct Horizon {
@@ -84,14 +99,15 @@ pub struct Chain {
 
 impl Horizon {
     /// Samples the objective. `bounds` are the ends of the intervals in seconds, ascending from 0; each of `paths` has a
-    /// view per interval, at its middle. `worst` is the view and the region reachable from it.
-    pub fn make(
+    /// view per interval, at its middle. `worst` is the view with the region reachable from it, or the worst reachable
+    /// views with their weights.
+    pub fn make<'a>(
         &mut self,
         tree: &LodTree,
         planned: &Coverage,
         paths: &[PredictedPath],
         bounds: &[f64],
-        worst: (&View, Region),
+        worst: impl Into<Worst<'a>>,
         settings: &HorizonSettings,
     ) {
         self.spare.extend(self.terms.drain(..).map(|t| t.cut));
@@ -110,9 +126,18 @@ impl Horizon {
             }
         }
         if settings.alpha < 1.0 {
-            let mut cut = self.spare.pop().unwrap_or_default();
-            union_cut(&mut cut, tree, worst.0, worst.1, &settings.cut);
-            self.add(tree, planned, cut, Span::Always, 1.0 - settings.alpha, settings);
+            let worst = worst.into();
+            let views = match worst {
+                Worst::Union(view, region) => &[(1.0, *view, region)][..],
+                Worst::Views(views) => {
+                    &views.iter().map(|(weight, view)| (*weight, *view, Region::Frustum)).collect::<Vec<_>>()
+                }
+            };
+            for (weight, view, region) in views {
+                let mut cut = self.spare.pop().unwrap_or_default();
+                union_cut(&mut cut, tree, view, *region, &settings.cut);
+                self.add(tree, planned, cut, Span::Always, (1.0 - settings.alpha) * weight, settings);
+            }
         }
         self.patches = self.terms.iter().map(|t| t.cut.patches.len()).sum();
     }
@@ -130,10 +155,10 @@ impl Horizon {
         // The tolerance is on the objective: a term of little weight need not be opened far.
         let tolerance = settings.tolerance;
         self.opened.clear();
+        let mut sweep = planned.sweep(tree, tree.root());
         for patch in &cut.patches {
             let patch = Patch { weight: patch.weight * scale, ..*patch };
-            let above = planned.best_above(tree, patch.node);
-            open(tree, planned, cut.eye, patch, above, tolerance, &mut self.opened);
+            open(tree, &mut sweep, cut.eye, patch, tolerance, &mut self.opened);
         }
         core::mem::swap(&mut cut.patches, &mut self.opened);
         let nodes = cut.patches.iter().map(|p| p.node).collect();
@@ -167,23 +192,17 @@ impl Horizon {
         if error >= above {
             return 0.0;
         }
+        let mut sweep = planned.sweep_beneath(tree, node, (None, above));
         let mut sum = 0.0;
         for term in &self.terms {
             let share = term.span.after(offset);
             if share <= 0.0 {
                 continue;
             }
+            sweep.restart();
             let mut part = 0.0;
             for patch in term.beneath(tree, node) {
-                let mut others = above;
-                let mut n = patch.node;
-                while n != node {
-                    others = others.min(planned.best_at(n));
-                    match tree.parent(n) {
-                        Some(parent) => n = parent,
-                        None => break,
-                    }
-                }
+                let (_, others, _) = sweep.shown_at(patch.node);
                 if error < others {
                     part += patch.weight
                         * (accuracy(f64::from(error), patch.sharpness) - accuracy(f64::from(others), patch.sharpness));
@@ -211,21 +230,14 @@ impl Horizon {
 
     /// Σ w·a over what lies beneath `node`, counted from `offset` on.
     pub fn benefit_beneath(&self, tree: &LodTree, planned: &Coverage, node: NodeId, offset: f64) -> f64 {
-        let above = tree.parent(node).map_or(f32::INFINITY, |p| planned.best_above(tree, p));
+        let mut sweep = planned.sweep(tree, node);
         let mut sum = 0.0;
         for term in &self.terms {
             let share = term.span.after(offset);
+            sweep.restart();
             let mut part = 0.0;
             for patch in term.beneath(tree, node) {
-                let mut best = above;
-                let mut n = patch.node;
-                loop {
-                    best = best.min(planned.best_at(n));
-                    match tree.parent(n) {
-                        Some(parent) if n != node => n = parent,
-                        _ => break,
-                    }
-                }
+                let (_, best, _) = sweep.shown_at(patch.node);
                 part += patch.weight * accuracy(f64::from(best), patch.sharpness);
             }
             sum += share * part;
@@ -247,10 +259,12 @@ impl Horizon {
         offset: f64,
         mut visit: impl FnMut(&Patch, f64, Chain, bool),
     ) {
+        let mut sweep = planned.sweep(tree, tree.root());
         for (i, term) in self.terms.iter().enumerate() {
             let share = term.span.after(offset);
+            sweep.restart();
             for patch in &term.cut.patches {
-                let (owner, best) = planned.shown_at(tree, patch.node);
+                let (owner, best, _) = sweep.shown_at(patch.node);
                 let chain = Chain { owner, best };
                 visit(patch, share, chain, i == 0);
             }
@@ -259,18 +273,10 @@ impl Horizon {
 }
 
 /// Opens `patch` until nothing beneath it could gain more than `tolerance`, in preorder.
-fn open(
-    tree: &LodTree,
-    planned: &Coverage,
-    eye: glam::DVec3,
-    patch: Patch,
-    above: f32,
-    tolerance: f64,
-    out: &mut Vec<Patch>,
-) {
+fn open(tree: &LodTree, planned: &mut Sweep, eye: glam::DVec3, patch: Patch, tolerance: f64, out: &mut Vec<Patch>) {
     let worth_opening =
         |weight: f64, best: f32| weight * (1.0 - accuracy(f64::from(best), patch.sharpness)) > tolerance;
-    if tree.is_leaf(patch.node) || !worth_opening(patch.weight, above) {
+    if tree.is_leaf(patch.node) || !worth_opening(patch.weight, planned.shown_at(patch.node).1) {
         out.push(patch);
         return;
     }
@@ -285,10 +291,7 @@ fn open(
     let mut next = NodeId(patch.node.0 + 1);
     while next < end {
         let weight = density * projected_area(tree, next, direction);
-        // The error above is that of the whole chain; walking up is cheaper than keeping a stack, because most
-        // children are leaves or not worth opening.
-        let best = planned.best_above(tree, next);
-        if tree.is_leaf(next) || !worth_opening(weight, best) {
+        if tree.is_leaf(next) || !worth_opening(weight, planned.shown_at(next).1) {
             out.push(Patch { node: next, weight, sharpness: patch.sharpness });
             next = tree.subtree_end(next);
         } else {

@@ -1,4 +1,5 @@
-//! Choosing: what a representation would add to the objective, and what a discard would take away.
+//! Which representation to take, and which to give up.
 
+pub mod certified;
 pub mod discard;
 pub mod horizon;

@@ -1,8 +1,10 @@
 //! What grouping costs: gains by patches of an opening angle θ against gains leaf by leaf, under the same samples in time.
 
+use super::gains;
 use super::outcome::{ErrorRow, Kind};
+use super::record::Record;
 use super::situation::Situation;
-use super::statistics::{Quantiles, relative_error};
+use super::statistics::relative_error;
 use crate::random::SplitMix64;
 use crate::stopwatch::Stopwatch;
 use foresight_scheduler::benefit::cut::CutSettings;
@@ -20,9 +22,7 @@ const TOLERANCE: f64 = 1e-7;
 pub struct Grouped {
     setting: String,
     is_default: bool,
-    errors: Vec<f64>,
-    nanos: u64,
-    patches: u64,
+    record: Record,
 }
 
 /// Sets each opening angle against leaf by leaf on `count` representations drawn by `seed` in each situation.
@@ -43,63 +43,52 @@ pub fn measure(
         .map(|&angle| Grouped {
             setting: format!("θ={angle}"),
             is_default: angle == settings.cut.opening,
-            errors: Vec::new(),
-            nanos: 0,
-            patches: 0,
+            record: Record::default(),
         })
         .collect();
     for (i, situation) in situations.iter().enumerate() {
         let mut random = SplitMix64::new(seed ^ (i as u64) << 32);
         let exact = Sampled::new(tree, situation, settings, 0.0);
-        let reps = draw(tree, situation, count, &mut random);
+        let all = gains::of_each(tree, &exact.horizon, &situation.planned, exact.arrival_s);
+        let best = all.iter().copied().fold(0.0, f64::max);
+        let reps = draw(tree, situation, &all, count, &mut random);
         let truth: Vec<f64> = exact.gains(tree, situation, &reps);
-        let best = truth.iter().copied().fold(0.0, f64::max);
         for (row, &angle) in rows.iter_mut().zip(&angles) {
             let watch = Stopwatch::start();
             let sampled = Sampled::new(tree, situation, settings, angle);
             let values = sampled.gains(tree, situation, &reps);
-            row.nanos += watch.nanos();
-            row.patches += sampled.horizon.patches() as u64 * reps.len() as u64;
-            row.errors.extend(values.iter().zip(&truth).map(|(v, t)| relative_error(*v, *t, best)));
+            row.record.nanos += watch.nanos();
+            row.record.evaluations += sampled.horizon.patches() as u64 * reps.len() as u64;
+            row.record.errors.extend(values.iter().zip(&truth).map(|(v, t)| relative_error(*v, *t, best)));
         }
     }
     rows
 }
 
 /// A row for `case`.
-pub fn row(case: &str, grouped: &Grouped) -> ErrorRow {
+pub fn row(case: &str, grouped: &Grouped) -> Option<ErrorRow> {
     rows_of(case, &[grouped])
 }
 
 /// A row an opening angle over all cases.
 pub fn over_all(cases: &[Vec<Grouped>]) -> Vec<ErrorRow> {
     let angles = cases.first().map_or(0, Vec::len);
-    (0..angles).map(|i| rows_of("all", &cases.iter().filter_map(|case| case.get(i)).collect::<Vec<_>>())).collect()
+    (0..angles)
+        .filter_map(|i| rows_of("all", &cases.iter().filter_map(|case| case.get(i)).collect::<Vec<_>>()))
+        .collect()
 }
 
 /// A row over several cases; all are of one setting.
-fn rows_of(case: &str, grouped: &[&Grouped]) -> ErrorRow {
-    let mut errors: Vec<f64> = grouped.iter().flat_map(|g| g.errors.iter().copied()).collect();
-    let count = errors.len().max(1) as f64;
-    let q = Quantiles::of(&mut errors);
-    ErrorRow {
-        case: case.to_owned(),
-        kind: Kind::Real,
-        reading: None,
+fn rows_of(case: &str, grouped: &[&Grouped]) -> Option<ErrorRow> {
+    let first = grouped.first()?;
+    let mut record = Record::default();
+    grouped.iter().for_each(|g| record.merge(&g.record));
+    Some(ErrorRow {
         method: "grouping".to_owned(),
-        setting: grouped.first().map_or_else(String::new, |g| g.setting.clone()),
-        certified: false,
-        default: grouped.first().is_some_and(|g| g.is_default),
-        candidates: errors.len() as u64,
-        evaluations: grouped.iter().map(|g| g.patches).sum::<u64>() as f64 / count,
-        ns_per_candidate: grouped.iter().map(|g| g.nanos).sum::<u64>() as f64 / count,
-        max_relative_error: q.max,
-        p999_relative_error: q.p999,
-        median_relative_error: q.median,
-        bound_violations: 0,
-        gap: None,
-        max_gap: None,
-    }
+        setting: first.setting.clone(),
+        default: first.is_default,
+        ..record.row(case, Kind::Real)?
+    })
 }
 
 /// The objective sampled for a situation, the predicted paths alone.
@@ -110,7 +99,6 @@ struct Sampled {
 
 impl Sampled {
     fn new(tree: &LodTree, situation: &Situation, settings: &ForesightSettings, opening: f64) -> Sampled {
-        let bounds: Vec<f64> = std::iter::once(0.0).chain(situation.offsets.iter().copied()).collect();
         let horizon = HorizonSettings {
             alpha: 1.0,
             attenuation: settings.attenuation,
@@ -119,7 +107,7 @@ impl Sampled {
         };
         let mut sampled = Sampled { horizon: Horizon::default(), arrival_s: situation.arrival_s };
         let worst = (&situation.view, situation.region);
-        sampled.horizon.make(tree, &situation.planned, &situation.paths, &bounds, worst, &horizon);
+        sampled.horizon.make(tree, &situation.planned, &situation.middles, &situation.bounds, worst, &horizon);
         sampled
     }
 
@@ -129,8 +117,9 @@ impl Sampled {
     }
 }
 
-/// Representations that are not planned: half of any level, half of what owns much beneath it.
-fn draw(tree: &LodTree, situation: &Situation, count: usize, random: &mut SplitMix64) -> Vec<RepId> {
+/// Representations that are not planned: a third of any, a third coarse ones, a third of those that gain.
+fn draw(tree: &LodTree, situation: &Situation, gains: &[f64], count: usize, random: &mut SplitMix64) -> Vec<RepId> {
+    let gaining: Vec<RepId> = (0..gains.len() as u32).map(RepId).filter(|rep| gains[rep.index()] > 0.0).collect();
     let total = tree.representations();
     let mut reps = Vec::with_capacity(count);
     // What is planned is drawn again, a bounded number of times: all of a small world may be planned.
@@ -138,8 +127,12 @@ fn draw(tree: &LodTree, situation: &Situation, count: usize, random: &mut SplitM
         if reps.len() == count || total == 0 {
             break;
         }
-        let rep = RepId((random.uniform() * total as f64) as u32);
-        let rep = if draw % 2 == 0 { rep } else { coarser(tree, tree.node_of(rep), random).unwrap_or(rep) };
+        let any = RepId((random.uniform() * total as f64) as u32);
+        let rep = match draw % 3 {
+            0 => any,
+            1 => coarser(tree, tree.node_of(any), random).unwrap_or(any),
+            _ => gaining.get((random.uniform() * gaining.len() as f64) as usize).copied().unwrap_or(any),
+        };
         if !situation.planned.contains(rep) {
             reps.push(rep);
         }

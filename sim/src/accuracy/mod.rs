@@ -3,12 +3,23 @@
 //! Everything but nanoseconds follows from the seed. What is timed runs on one core, a method and setting at a time; the
 //! reference, which is not timed, runs on all.
 
+pub mod choice;
+pub mod findings;
+mod gains;
 pub mod grouping;
+pub mod hard;
+pub mod integral;
 pub mod outcome;
+mod record;
 pub mod reference;
 pub mod scale;
+pub mod scene;
 pub mod situation;
 pub mod statistics;
+pub mod worst_case;
+
+/// The stream of numbers from which candidates are drawn.
+pub use crate::random::SplitMix64 as Draws;
 
 /// The parts of the measurement, in the order in which they run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -35,3 +46,6 @@ impl Part {
         ("upper-bound", Part::UpperBound),
     ];
 }
+
+#[cfg(test)]
+mod tests;

@@ -9,6 +9,7 @@ use crate::stopwatch::{Stopwatch, percentiles};
 use foresight_scheduler::lod_tree::{LodTree, RepId};
 use foresight_scheduler::policy::Policy;
 use foresight_scheduler::scheduler::{Action, Scheduler, SchedulerError, SchedulerSettings};
+use foresight_scheduler::select::certified::Certificate;
 use foresight_scheduler::state::Status;
 use foresight_scheduler::units::Time;
 use foresight_scheduler::view::View;
@@ -93,7 +94,11 @@ pub fn decisions<'a>(
         transfers: BTreeMap::new(),
         joining: BTreeMap::new(),
         next_id: 0,
+        proves: false,
+        latest: Certificate::default(),
+        opened: 0,
     };
+    let mut opened = 0;
     let mut nanos = Vec::new();
     let mut actions = 0;
     let mut tick = 0;
@@ -106,6 +111,7 @@ pub fn decisions<'a>(
         let acted = drive.obey(now)?;
         if is_timed {
             nanos.push(watch.nanos());
+            opened += drive.opened;
             actions += acted as u64;
         }
         tick += 1;
@@ -116,7 +122,7 @@ pub fn decisions<'a>(
         representations: tree.representations() as u64,
         situation: motion.name(),
         decision_ns: Percentiles { p50: p.p50, p99: p.p99 },
-        nodes_opened: None,
+        nodes_opened: drive.proves.then(|| opened as f64 / decisions.max(1) as f64),
         decisions,
         actions,
         bytes_per_representation: tree.heap_bytes() as f64 / tree.representations().max(1) as f64,
@@ -134,6 +140,11 @@ struct Drive<'a> {
     /// Transfers that have not had their first byte, by the time when it comes.
     joining: BTreeMap<(Time, u64), RepId>,
     next_id: u64,
+    /// Whether the policy proves what it chooses.
+    proves: bool,
+    latest: Certificate,
+    /// Nodes opened for the choices of this tick.
+    opened: u64,
 }
 
 impl Drive<'_> {
@@ -179,8 +190,16 @@ impl Drive<'_> {
 
     /// Does what the scheduler says until it says to wait; how many actions that were.
     fn obey(&mut self, now: Time) -> Result<usize, SchedulerError> {
+        self.opened = 0;
         for acted in 0..ACTIONS_PER_TICK_MAX {
-            match self.scheduler.next(now)? {
+            let action = self.scheduler.next(now)?;
+            // A certificate stays until the next choice.
+            if let Some(certificate) = self.scheduler.certificate().filter(|c| *c != self.latest) {
+                self.proves = true;
+                self.opened += certificate.nodes_opened;
+                self.latest = certificate;
+            }
+            match action {
                 Action::WaitUntil(_) => return Ok(acted),
                 Action::Fetch { rep, .. } => {
                     let id = self.next_id;

@@ -41,10 +41,16 @@ pub struct Situation {
     pub view: View,
     /// What is resident or under way.
     pub planned: Coverage,
-    /// Seconds from now at which each of the predicted views is; ascending from more than 0 to δ.
-    pub offsets: Vec<f64>,
-    /// The predicted paths, a view an offset.
-    pub paths: Vec<PredictedPath>,
+    /// Ends of the intervals of [t, t+δ], seconds from now, ascending from 0 to δ.
+    pub bounds: Vec<f64>,
+    /// The predicted paths, a view at the middle of each interval: what decisions sample.
+    pub middles: Vec<PredictedPath>,
+    /// The same paths, a view at the end of each interval: the ends of their legs.
+    pub ends: Vec<PredictedPath>,
+    /// As `bounds` and `middles`, with eight times as many intervals: a fine quadrature.
+    pub fine: (Vec<f64>, Vec<PredictedPath>),
+    /// Seconds until the first byte of a request made now would have come.
+    pub first_byte_s: f64,
     /// Seconds until a typical request made now would have come.
     pub arrival_s: f64,
     /// ε, seconds.
@@ -56,6 +62,9 @@ pub struct Situation {
     /// Memory left, bytes.
     pub free_bytes: u64,
 }
+
+/// Intervals of the fine quadrature for each of those that decisions use.
+const FINER: usize = 8;
 
 /// Replays `foresight` and keeps `count` situations at equal spacing; the first lies one spacing after the start, so that
 /// there is motion to predict from.
@@ -113,18 +122,25 @@ impl Probe {
         let epsilon_s = s.reuse_s.max(typical);
         let delta_s = s.horizon_s.max(4.0 * epsilon_s);
         let n = s.samples.max(1);
-        let offsets: Vec<f64> = (1..=n).map(|i| delta_s * i as f64 / n as f64).collect();
-        let mut paths = self.predictor.predict(now, &offsets);
-        if paths.is_empty() {
-            paths.push(PredictedPath { weight: 1.0, views: vec![view; n] });
-        }
+        let bounds: Vec<f64> = (0..=n).map(|i| delta_s * i as f64 / n as f64).collect();
+        let predict = |offsets: &[f64]| {
+            let paths = self.predictor.predict(now, offsets);
+            if paths.is_empty() { vec![PredictedPath { weight: 1.0, views: vec![view; offsets.len()] }] } else { paths }
+        };
+        let middles = predict(&bounds.windows(2).map(|w| 0.5 * (w[0] + w[1])).collect::<Vec<_>>());
+        let ends = predict(&bounds[1..]);
+        let fine: Vec<f64> = (0..=FINER * n).map(|i| delta_s * i as f64 / (FINER * n) as f64).collect();
+        let fine_middles = predict(&fine.windows(2).map(|w| 0.5 * (w[0] + w[1])).collect::<Vec<_>>());
         let queued = state.outstanding_bytes() as f64 + self.mean_fetch_bytes;
         let situation = Situation {
             at: now,
             view,
             planned: state.planned().clone(),
-            offsets,
-            paths,
+            bounds,
+            middles,
+            ends,
+            fine: (fine, fine_middles),
+            first_byte_s: state.link.latency_s() + state.outstanding_bytes() as f64 / state.link.rate(),
             arrival_s: (state.link.latency_s() + queued / state.link.rate()).min(0.9 * delta_s),
             epsilon_s,
             region: s.reach.region(self.motion.percentile(), epsilon_s),

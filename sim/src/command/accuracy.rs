@@ -9,9 +9,12 @@ use foresight_index::generate::document::Params;
 use foresight_scheduler::policy::foresight::{Foresight, ForesightSettings};
 use foresight_scheduler::units::Time;
 use foresight_sim::accuracy::Part;
+use foresight_sim::accuracy::choice::Choices;
+use foresight_sim::accuracy::integral::Integrals;
 use foresight_sim::accuracy::outcome::{Accuracy, SCHEMA_VERSION};
 use foresight_sim::accuracy::situation::{self, Source};
-use foresight_sim::accuracy::{grouping, scale};
+use foresight_sim::accuracy::worst_case::WorstCases;
+use foresight_sim::accuracy::{Draws, findings, grouping, hard, scale, scene};
 use foresight_sim::link::LinkTrace;
 use foresight_sim::report;
 use foresight_sim::suite::CASES;
@@ -84,6 +87,15 @@ const BUILT_IN: [(&str, &str); 4] = [
 /// Seconds of a recorded path that are replayed.
 const RECORDED_SECONDS: &str = "20";
 
+/// Most candidates of a situation for which grouping is set against leaf by leaf.
+const GROUPED_MOST: usize = 200;
+
+/// Situations over all cases, at least, in which the worst case is measured.
+const WORST_SCENES: usize = 20;
+
+/// For so many candidates of the integral one choice is made in each situation.
+const CANDIDATES_PER_DECISION: usize = 400;
+
 /// Memory of a replay that does not say how many bytes.
 const MEMORY: u64 = 64 << 20;
 
@@ -136,6 +148,7 @@ pub(crate) fn run(args: &AccuracyArgs) -> anyhow::Result<()> {
         measure_scale(args, &progress, &mut outcome)?;
     }
     progress.show("");
+    outcome.findings = findings::findings(&outcome);
     let mut out = std::io::stdout().lock();
     if args.json {
         serde_json::to_writer(&mut out, &outcome)?;
@@ -189,7 +202,13 @@ fn measure_cases(
     outcome: &mut Accuracy,
 ) -> anyhow::Result<()> {
     let settings = ForesightSettings::default();
+    let is_asked = |part: Part| args.only.is_empty() || args.only.contains(&part);
+    let real = (args.candidates as usize).div_ceil(2);
+    let mut random = Draws::new(args.seed);
+    let mut integrals = Integrals::default();
     let mut grouped = Vec::new();
+    let mut worst = WorstCases::default();
+    let mut choices = Choices::new(&settings);
     for case in cases {
         progress.show(&format!("{}: opening", case.name));
         let line = Line::try_parse_from(&case.line).with_context(|| format!("case {}", case.name))?;
@@ -205,12 +224,47 @@ fn measure_cases(
         let situations = situation::capture(&source, &settings, args.situations as usize)
             .with_context(|| format!("case {}", case.name))?;
         progress.show(&format!("{}: measuring", case.name));
-        let count = (args.candidates as usize / (cases.len() * situations.len().max(1))).clamp(1, 200);
-        let of_case = grouping::measure(source.tree, &situations, &settings, count, args.seed);
-        outcome.integral.extend(of_case.iter().map(|g| grouping::row(&case.name, g)));
-        grouped.push(of_case);
+        let each = (real / (cases.len() * situations.len().max(1)).max(1)).max(1);
+        if is_asked(Part::Integral) {
+            for (i, situation) in situations.iter().enumerate() {
+                progress.show(&format!("{}: integrals, situation {} of {}", case.name, i + 1, situations.len()));
+                let scene = scene::real(&case.name, source.tree, situation, &settings, each, &mut random);
+                integrals.measure(&scene).with_context(|| format!("case {}", case.name))?;
+            }
+            progress.show(&format!("{}: grouping", case.name));
+            let count = each.min(GROUPED_MOST);
+            let of_case = grouping::measure(source.tree, &situations, &settings, count, args.seed);
+            outcome.integral.extend(of_case.iter().filter_map(|g| grouping::row(&case.name, g)));
+            grouped.push(of_case);
+        }
+        if is_asked(Part::Choice) {
+            let decisions = (args.candidates as usize / CANDIDATES_PER_DECISION).clamp(1, 1000);
+            for (i, situation) in situations.iter().enumerate() {
+                progress.show(&format!("{}: choices, situation {} of {}", case.name, i + 1, situations.len()));
+                choices.measure(&case.name, source.tree, situation, &settings, decisions);
+            }
+        }
+        if is_asked(Part::WorstCase) {
+            let scenes = WORST_SCENES.div_ceil(cases.len()).min(situations.len());
+            for (i, situation) in situations.iter().take(scenes).enumerate() {
+                progress.show(&format!("{}: worst case, situation {} of {scenes}", case.name, i + 1));
+                worst
+                    .measure(&case.name, source.tree, situation, &settings, args.candidates, &mut random)
+                    .with_context(|| format!("case {}", case.name))?;
+            }
+        }
     }
-    outcome.integral.extend(grouping::over_all(&grouped));
+    outcome.worst_case = worst.rows();
+    outcome.choice = choices.rows();
+    if is_asked(Part::Integral) {
+        for scene in hard::scenes(args.candidates as usize - real, args.seed)? {
+            progress.show(&format!("{}: integrals", scene.case));
+            integrals.measure(&scene).with_context(|| format!("scene {}", scene.case))?;
+        }
+        let over_all = grouping::over_all(&grouped);
+        outcome.integral = [integrals.rows(), std::mem::take(&mut outcome.integral), over_all].concat();
+        outcome.splitting = integrals.splitting();
+    }
     Ok(())
 }
 

@@ -1,6 +1,7 @@
 //! The command line: parsing, and one module a command.
 
 mod accuracy;
+mod alpha_sweep;
 mod generate;
 mod inputs;
 mod inspect;

@@ -13,7 +13,7 @@ use foresight_sim::compare::{Memory, Plan, compare, starts};
 use foresight_sim::link::LinkTrace;
 use foresight_sim::outcome::{Comparison, Inputs};
 use foresight_sim::path::CameraPath;
-use foresight_sim::policies::PolicySpec;
+use foresight_sim::policies::{PolicySpec, Trust};
 use foresight_sim::report;
 use foresight_sim::stopwatch::Stopwatch;
 use std::io::{IsTerminal, Write};
@@ -31,9 +31,11 @@ const BUILT_IN_STARTS: u32 = 4;
 #[command(
     after_help = "Examples:\n  foresight-sim replay --json\n  foresight-sim replay --world mosaic16 --path walk.txt --link lte.down --memory mu:0.25 --starts 10\n  \
     foresight-sim replay --policy foresight,foresight:alpha=1:predictor=true-path,clairvoyant\n  foresight-sim replay --error-target best --link constant:5Mbit,40ms\n\n\
-    A policy takes options after colons:\n  foresight, added-benefit, clairvoyant: alpha, predictor (constant-velocity, constant-turn, kalman, mixture, known-path,\n    \
+    A policy takes options after colons:\n  foresight, added-benefit, clairvoyant: alpha (0 to 1, adapted, or solved with at-least=Q), watch (on: W/Σw is measured), predictor (constant-velocity, constant-turn, kalman, mixture, known-path,\n    \
     true-path), discards (planned, lru), arrival (on, off), cover (on, off), horizon, reuse, hysteresis, attenuation, samples,\n    \
-    opening, falloff, tolerance, slack, turn-rate and speed (declared, rad/s and m/s), request-cost\n  the rivals: target (pixels, where it has one), parallel"
+    opening, falloff, choice (certified, sampled), tolerance, grouping, slack, turn-rate and speed (declared, rad/s and m/s), request-cost,\n    \
+     worst (union, minimum), neighbourhood (free, walk, orbit, path), clearance\n  the rivals: target (pixels, where it has one), parallel\n  \
+     foresight-adapted and foresight-solved, not in all, are foresight:alpha=adapted and foresight:alpha=solved"
 )]
 pub(crate) struct ReplayArgs {
     /// A world directory, tileset.json, elevation grid (.npz, GeoTIFF), or a generated world by its parameters:
@@ -56,9 +58,10 @@ pub(crate) struct ReplayArgs {
     /// the built-in world
     #[arg(long, value_name = "SIZE", value_parser = memory, allow_hyphen_values = true)]
     memory: Option<Memory>,
-    /// Trust in the prediction, 0 to 1
-    #[arg(long, default_value_t = 0.7, value_parser = trust, allow_hyphen_values = true)]
-    alpha: f64,
+    /// Trust in the prediction, 0 to 1; adapted follows how well it predicts, and solved:at-least=Q is as high as leaves the
+    /// worst case a mean quality of Q, 0.6 if not given
+    #[arg(long, default_value = "0.7", value_name = "ALPHA", allow_hyphen_values = true)]
+    alpha: Trust,
     /// Pixels of error that the rivals aim at, instead of what each ships with; best adds each at its best of 1, 2, 4 …
     /// 64 px in hindsight
     #[arg(long, value_name = "PX|best")]
@@ -117,7 +120,7 @@ impl ReplayArgs {
             link: None,
             policy: "all".to_owned(),
             memory: None,
-            alpha: 0.7,
+            alpha: Trust::from(0.7),
             error_target: None,
             refinement: Refinement::Partial,
             path_args: PathArgs::default(),
@@ -168,11 +171,6 @@ fn memory(text: &str) -> Result<Memory, String> {
     let bytes =
         digits.parse::<f64>().ok().map(|n| n * unit).filter(|b| *b >= 1.0 && *b <= 1e15).ok_or_else(expected)?;
     Ok(Memory::Bytes(bytes as u64))
-}
-
-fn trust(text: &str) -> Result<f64, String> {
-    let alpha = text.parse::<f64>().ok().filter(|alpha| (0.0..=1.0).contains(alpha));
-    alpha.ok_or_else(|| format!("`{text}`; expected a number from 0 to 1"))
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
@@ -276,8 +274,9 @@ pub(crate) fn execute(args: &ReplayArgs, progress: &(dyn Fn(usize, usize) + Sync
             (Some(target), Vec::new())
         }
     };
-    let policies = PolicySpec::parse_list(&args.policy, args.alpha, target)?;
+    let mut policies = PolicySpec::parse_list(&args.policy, args.alpha, target)?;
     let Opened { link, path, world_name, world, placed } = open(args)?;
+    policies.iter_mut().for_each(|policy| policy.settings.reach.up = world.up);
 
     let count = args.starts.unwrap_or(if args.link.is_none() { BUILT_IN_STARTS } else { 1 });
     let base = SchedulerSettings::with_budget(0);
@@ -308,8 +307,8 @@ pub(crate) fn execute(args: &ReplayArgs, progress: &(dyn Fn(usize, usize) + Sync
         path: args.path.clone().unwrap_or_else(|| path.name().to_owned()),
         link: args.link.clone().unwrap_or_else(|| link.name().to_owned()),
         place: placed.place,
-        alpha: args.alpha,
-        worst_case: "union".to_owned(),
+        alpha: args.alpha.alpha,
+        worst_case: worst_cases(&plan.policies),
         refinement: format!("{:?}", args.refinement).to_lowercase(),
         announce_s: args.announce,
         head: args.path_args.head().map(str::to_owned),
@@ -328,6 +327,16 @@ pub(crate) fn execute(args: &ReplayArgs, progress: &(dyn Fn(usize, usize) + Sync
     comparison.warnings.extend(placed.notes.iter().map(|n| format!("path: {n}")));
     comparison.warnings.extend(link.notes().iter().map(|n| format!("link: {n}")));
     Ok(comparison)
+}
+
+/// The readings of the worst case; each policy with its own where they differ.
+fn worst_cases(policies: &[PolicySpec]) -> String {
+    let used: Vec<_> = policies.iter().filter_map(|p| Some((p.label.as_str(), p.worst_case()?))).collect();
+    match used.first() {
+        None => "none".to_owned(),
+        Some((_, first)) if used.iter().all(|(_, reading)| reading == first) => first.clone(),
+        Some(_) => used.iter().map(|(label, reading)| format!("{label}: {reading}")).collect::<Vec<_>>().join("; "),
+    }
 }
 
 /// Columns of the terminal, by COLUMNS; 120 where nothing says.

@@ -1,5 +1,6 @@
 //! `suite`: the named benchmark cases.
 
+use super::alpha_sweep;
 use super::replay::{self, ReplayArgs};
 use super::runs::Recorder;
 use anyhow::{Context, bail};
@@ -17,7 +18,7 @@ const STARTS: u32 = 5;
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  foresight-sim suite --list\n  foresight-sim suite --data recordings --report suite\n  \
-                        foresight-sim suite --case turn,teleport --policy foresight,3d-tiles-renderer --starts 10\n\n\
+                        foresight-sim suite --case turn,teleport --policy foresight,3d-tiles-renderer --starts 10\n  foresight-sim suite --alpha-sweep --starts 1 --at-most 60\n\n\
                         Cases over recorded worlds, paths and links take them from --data, else from the folder that \
                         FORESIGHT_DATA names, else from ../shared/data; without it they are skipped and named."
 )]
@@ -40,6 +41,10 @@ pub(crate) struct SuiteArgs {
     /// Folder of recorded worlds, paths and links
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
+    /// Replay each case with foresight only, at α = 0, 0.1, … 1, adapted, and solved for what the best of these leaves the
+    /// worst case; prints what each loses against the best fixed α in hindsight
+    #[arg(long, conflicts_with_all = ["policy", "error_target", "report", "store"])]
+    alpha_sweep: bool,
     /// Name the cases, with why each is there, and run nothing
     #[arg(long)]
     list: bool,
@@ -52,7 +57,7 @@ pub(crate) struct SuiteArgs {
     store: Option<String>,
     /// Print one JSON document
     #[arg(long)]
-    json: bool,
+    pub(super) json: bool,
     /// Threads; as many as there are processors if not given
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
     threads: Option<u32>,
@@ -86,6 +91,9 @@ pub(crate) fn run(args: &SuiteArgs) -> anyhow::Result<()> {
         bail!("{}: no such folder; expected one with scenes, paths and network in it", data.display());
     }
     replay::use_threads(args.threads)?;
+    if args.alpha_sweep {
+        return alpha_sweep::run(args, &cases, &data, &mut out);
+    }
     let watch = Stopwatch::start();
     let mut recorder = args.store.as_deref().map(Recorder::open).transpose()?;
     let shows_progress = std::io::stderr().is_terminal();
@@ -161,16 +169,18 @@ pub(crate) fn data_folder(given: Option<&Path>) -> (PathBuf, bool) {
     }
 }
 
+/// A command with an option set; as it is without a value.
+pub(super) fn set(command: &mut Vec<String>, option: &str, value: Option<String>) {
+    let Some(value) = value else { return };
+    match command.iter().position(|word| word == option).and_then(|at| command.get_mut(at + 1)) {
+        Some(given) => *given = value,
+        None => command.extend([option.to_owned(), value]),
+    }
+}
+
 /// A case's command with what the suite's options and defaults add.
-fn completed(mut command: Vec<String>, args: &SuiteArgs) -> Vec<String> {
-    let mut set = |option: &str, value: Option<String>| {
-        let Some(value) = value else { return };
-        if let Some(at) = command.iter().position(|word| word == option) {
-            command[at + 1] = value;
-        } else {
-            command.extend([option.to_owned(), value]);
-        }
-    };
+pub(super) fn completed(mut command: Vec<String>, args: &SuiteArgs) -> Vec<String> {
+    let mut set = |option: &str, value: Option<String>| set(&mut command, option, value);
     set("--policy", args.policy.clone());
     set("--starts", args.starts.map(|n| n.to_string()));
     set("--error-target", args.error_target.clone());

@@ -73,6 +73,7 @@ pub(super) fn findings(comparison: &Comparison) -> Vec<String> {
         against_clairvoyance(&mut findings, comparison, best);
         against_bound(&mut findings, comparison, best, *quality);
     }
+    findings.extend(super::alpha::sentences(comparison));
     let rho = comparison.pressure.rho;
     match pressure_word(rho) {
         "starved" => findings.push(format!(

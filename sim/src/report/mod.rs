@@ -1,6 +1,8 @@
 //! A comparison for people: a table for the terminal, a page for the browser.
 
 mod accuracy;
+mod alpha;
+mod alpha_sweep;
 mod downsample;
 mod headline;
 mod map;
@@ -17,6 +19,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 pub use accuracy::{accuracy_page, accuracy_text};
+pub use alpha_sweep::alpha_sweep_text;
 pub use suite::{suite_page, suite_text};
 pub use table::table;
 

@@ -135,6 +135,7 @@ fn footer(comparison: &Comparison) -> Vec<String> {
         printable(&inputs.worst_case, 40),
         printable(&inputs.refinement, 40),
     ));
+    lines.extend(super::alpha::sentences(comparison).into_iter().map(|line| format!("alpha     {line}")));
     lines.extend(comparison.warnings.iter().map(|w| format!("warning: {}", printable(w, 1000))));
     lines
 }

@@ -92,6 +92,7 @@ fn policy(
     let around = |value: f64, half: f64| Some(Interval { lower: value - half, upper: value + half });
     let outcome = PolicyOutcome {
         mean_deficit_by_start: Vec::new(),
+        alpha: None,
         name: name.to_owned(),
         mean_quality: Some(mean),
         mean_deficit: Some(1.0 - mean),

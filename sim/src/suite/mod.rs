@@ -1,5 +1,6 @@
 //! The benchmark suite: named cases, each a few replays, and what they say together about `foresight` against each rival.
 
+pub mod alpha;
 mod cases;
 mod standing;
 

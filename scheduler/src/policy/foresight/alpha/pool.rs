@@ -1,0 +1,165 @@
+//! α from the measured prediction error: the weight of the prediction in an optimal prediction pool.
+//!
+//! The objective says twice how what will be seen is distributed over the world: P, the weights along the predicted paths,
+//! and U, those of the worst case; α pools them linearly. When the time has come the true view gives A, and the pool that
+//! would have predicted it best maximises the mean log score E_A log(α·P + (1−α)·U) (Geweke and Amisano, Optimal
+//! prediction pools, 2011). Its maximum is the fixed point of expectation maximisation, taken online as in `predict/mixture.rs`:
+//!
+//! ```text
+//! r = Σ_i A_i·αP_i/(αP_i + (1−α)U_i) / Σ_i A_i       α ← α + κ·(r − α)
+//! ```
+//!
+//! over the patches i of the true view; what neither foresaw says nothing about either and is left out of both sums, and
+//! where both say the same, α stays. P and U count in sr, as in the objective, so that a prediction that looks into the
+//! void claims nothing. Parts of a patch are compared by area.
+
+use super::Sampled;
+use crate::benefit::cut::{Cut, CutSettings, Region};
+use crate::lod_tree::{LodTree, NodeId};
+use crate::predict::PredictedPath;
+use crate::units::Time;
+use crate::view::View;
+use std::collections::VecDeque;
+
+/// Share of the old α that a judgement leaves; the first ones are averaged evenly.
+const KEPT: f64 = 0.95;
+/// Neither part is ever given up: α is at least this and at most 1 minus this.
+const LEAST: f64 = 0.02;
+/// Views of a path that are judged, at most.
+const JUDGED_MAX: usize = 4;
+/// Predictions that wait to be judged, at most.
+const PENDING_MAX: usize = 8;
+/// A view that comes later than this after the time that was predicted, seconds, does not judge it.
+const LATE_S_MAX: f64 = 0.25;
+/// Least opening angle of the cuts: where a view's weight lies need be known roughly only.
+const OPENING_MIN: f64 = 0.5;
+
+/// A prediction that waits for its time.
+struct Pending {
+    at: Time,
+    /// Judged next, of `offsets`.
+    next: usize,
+    /// Seconds from `at`, ascending.
+    offsets: Vec<f64>,
+    paths: Vec<PredictedPath>,
+    worst: Vec<(f64, View, Region)>,
+    cut: CutSettings,
+    attenuation: f64,
+}
+
+/// The pool's weight and what it is learnt from.
+pub(super) struct Pool {
+    alpha: f64,
+    judged: u32,
+    pending: VecDeque<Pending>,
+    seen: Cut,
+    /// Cuts of one judgement: the paths', then the worst case's.
+    cuts: Vec<(f64, Cut)>,
+}
+
+impl Pool {
+    pub(super) fn new(alpha: f64) -> Pool {
+        let alpha = alpha.clamp(LEAST, 1.0 - LEAST);
+        Pool { alpha, judged: 0, pending: VecDeque::new(), seen: Cut::default(), cuts: Vec::new() }
+    }
+
+    pub(super) fn alpha(&self) -> f64 {
+        self.alpha
+    }
+
+    /// Keeps a prediction to be judged; one at a time, and at most four that overlap.
+    pub(super) fn remember(&mut self, sampled: &Sampled) {
+        let Some(&last) = sampled.offsets.last() else { return };
+        let spacing_s = last / JUDGED_MAX as f64;
+        let is_due = self.pending.back().is_none_or(|p| sampled.now.since(p.at).secs() >= spacing_s);
+        if !is_due || self.pending.len() >= PENDING_MAX || sampled.worst.is_empty() {
+            return;
+        }
+        let count = sampled.offsets.len();
+        let kept: Vec<usize> = (1..=JUDGED_MAX.min(count)).map(|i| i * count / JUDGED_MAX.min(count) - 1).collect();
+        let views = |path: &PredictedPath| kept.iter().filter_map(|&i| path.views.get(i).copied()).collect();
+        self.pending.push_back(Pending {
+            at: sampled.now,
+            next: 0,
+            offsets: kept.iter().map(|&i| sampled.offsets[i]).collect(),
+            paths: sampled.paths.iter().map(|p| PredictedPath { weight: p.weight, views: views(p) }).collect(),
+            worst: sampled.worst.to_vec(),
+            cut: CutSettings {
+                opening: sampled.cut.opening.max(OPENING_MIN),
+                near: sampled.cut.near,
+                centre_falloff: 0.0,
+            },
+            attenuation: sampled.attenuation,
+        });
+    }
+
+    /// Judges what was predicted for now by the true view.
+    pub(super) fn judge(&mut self, tree: &LodTree, view: &View, now: Time) {
+        let mut pending = core::mem::take(&mut self.pending);
+        for prediction in &mut pending {
+            while let Some(&offset) = prediction.offsets.get(prediction.next) {
+                let due = prediction.at + Time::from_secs(offset);
+                if due > now {
+                    break;
+                }
+                let which = prediction.next;
+                prediction.next += 1;
+                if now.since(due).secs() > LATE_S_MAX {
+                    continue;
+                }
+                if let Some(explained) = self.explained(tree, view, prediction, which) {
+                    self.judged = self.judged.saturating_add(1);
+                    let kept = KEPT.min(1.0 - 1.0 / (f64::from(self.judged) + 1.0));
+                    let step = (1.0 - kept) * libm::exp(-prediction.attenuation * offset);
+                    self.alpha = (self.alpha + step * (explained - self.alpha)).clamp(LEAST, 1.0 - LEAST);
+                }
+            }
+        }
+        pending.retain(|p| p.next < p.offsets.len());
+        self.pending = pending;
+    }
+
+    /// r: the share of what is seen that the predicted paths explain, against the worst case; `None` if neither foresaw
+    /// any of it.
+    fn explained(&mut self, tree: &LodTree, view: &View, prediction: &Pending, which: usize) -> Option<f64> {
+        let paths = prediction.paths.iter().filter_map(|p| Some((p.weight, *p.views.get(which)?, Region::Frustum)));
+        let predicted = paths.clone().count();
+        let mut used = 0;
+        for (weight, from, region) in paths.chain(prediction.worst.iter().copied()) {
+            if used == self.cuts.len() {
+                self.cuts.push((0.0, Cut::default()));
+            }
+            self.cuts[used].0 = weight;
+            self.cuts[used].1.make(tree, &from, region, &prediction.cut);
+            used += 1;
+        }
+        self.seen.make(tree, view, Region::Frustum, &prediction.cut);
+        let (predicted, worst) = self.cuts[..used].split_at(predicted);
+        let (mut by_paths, mut by_either) = (0.0, 0.0);
+        for patch in &self.seen.patches {
+            let density = |cuts: &[(f64, Cut)]| cuts.iter().map(|(w, cut)| w * weight_at(tree, cut, patch.node)).sum();
+            let (p, u): (f64, f64) = (density(predicted), density(worst));
+            let pooled = self.alpha * p + (1.0 - self.alpha) * u;
+            if pooled > 0.0 && pooled.is_finite() {
+                by_paths += patch.weight * (self.alpha * p / pooled);
+                by_either += patch.weight;
+            }
+        }
+        (by_either > 0.0).then(|| (by_paths / by_either).clamp(0.0, 1.0))
+    }
+}
+
+/// Scaled weight that a cut gives to what lies beneath `node`, sr; of a group above it, the share of its area.
+fn weight_at(tree: &LodTree, cut: &Cut, node: NodeId) -> f64 {
+    let end = tree.subtree_end(node);
+    let first = cut.patches.partition_point(|p| p.node < node);
+    let beneath = cut.patches[first..].iter().take_while(|p| p.node < end);
+    let mut weight: f64 = beneath.map(|p| p.weight).sum();
+    if let Some(group) = first.checked_sub(1).map(|i| &cut.patches[i]).filter(|g| tree.is_beneath(node, g.node)) {
+        let whole = tree.face_areas(group.node).element_sum();
+        if whole > 0.0 {
+            weight += group.weight * (tree.face_areas(node).element_sum() / whole).min(1.0);
+        }
+    }
+    weight * cut.scale
+}

@@ -1,0 +1,294 @@
+//! The certified choice as the policy uses it: a search per sampling, room made by stale losses, a certificate.
+
+use super::closure::needed_by;
+use super::context::{Choice, Choose, Context, Lookahead, first_pointless};
+use super::settings::Discards;
+use crate::benefit::coverage::Refinement;
+use crate::benefit::cut::{Cut, Region};
+use crate::lod_tree::RepId;
+use crate::select::certified::{
+    Ask, Certificate, Link, Objective, ObjectiveSettings, Ranked, Residents, Search, Standing, Stop,
+};
+use crate::state::{ClientState, Status};
+use crate::view::View;
+use std::collections::BTreeMap;
+
+/// Evaluations of one decision; then the best found so far is taken.
+const EVALUATIONS_MAX: u64 = 6_000;
+/// Candidates whose discards are worked out for one decision; the rest are worse even without any loss.
+const SWAPS_WEIGHED: usize = 12;
+/// Losses are watched from when less than this share of memory is free.
+const WATCHED_BELOW: f64 = 0.125;
+
+/// The certified choice.
+#[derive(Default)]
+pub(super) struct CertifiedChoice {
+    /// The planned set, up to date unless `stale`.
+    standing: Option<Standing>,
+    stale: bool,
+    objective: Objective,
+    search: Search,
+    /// Whether the search knows the latest sampling.
+    restarted: bool,
+    residents: Residents,
+    /// The nearest predicted view, and its cut once it is needed.
+    nearest: Option<View>,
+    seen: Option<Cut>,
+    /// Gain and cost of what was requested since the objective was sampled.
+    taken: (f64, f64),
+    certificate: Option<Certificate>,
+}
+
+impl CertifiedChoice {
+    /// Reads the planned set where it has changed without this policy.
+    fn read(&mut self, state: &ClientState) -> Standing {
+        let tree = state.tree;
+        let planned = state.planned();
+        let Some(mut standing) = self.standing.take() else {
+            self.residents.clear();
+            planned.iter().for_each(|rep| self.residents.added(rep));
+            return Standing::new(tree, planned.clone());
+        };
+        if core::mem::take(&mut self.stale) {
+            let gone: Vec<RepId> = standing.plan().iter().filter(|&r| !planned.contains(r)).collect();
+            for rep in gone {
+                standing.remove(tree, rep);
+                self.residents.removed(rep);
+            }
+            let come: Vec<RepId> = planned.iter().filter(|&r| !standing.plan().contains(r)).collect();
+            for rep in come {
+                standing.insert(tree, rep);
+                self.residents.added(rep);
+            }
+            self.restarted = false;
+        }
+        standing
+    }
+
+    /// Runs `decide` with what a choice is asked over.
+    fn with_ask<T>(&mut self, cx: &Context, decide: impl FnOnce(&mut Self, &Ask, &mut Standing) -> T) -> T {
+        let mut standing = self.read(cx.state);
+        let objective = core::mem::take(&mut self.objective);
+        let rate = cx.state.link.rate();
+        let arrival = |bytes: u64| cx.arrival(bytes);
+        let known = cx.oracle.is_some() || !cx.settings.gains_from_arrival;
+        let ask = Ask {
+            tree: cx.state.tree,
+            objective: &objective,
+            link: Link {
+                seconds_per_byte: 1.0 / rate,
+                request_cost_s: cx.settings.request_cost_s,
+                first_byte_s: cx.arrival(0),
+                arrival_per_byte_s: if known { 0.0 } else { 1.0 / rate },
+                arrival: cx.oracle.is_some().then_some(&arrival as &dyn Fn(u64) -> f64),
+            },
+            allowed: &|rep| cx.may_fetch(rep),
+        };
+        let answer = decide(self, &ask, &mut standing);
+        self.objective = objective;
+        self.standing = Some(standing);
+        answer
+    }
+
+    fn restart(&mut self, ask: &Ask, standing: &Standing) {
+        if !self.restarted {
+            self.search.restart(ask.tree, standing);
+            self.restarted = true;
+        }
+    }
+
+    /// The best closure with the discards that it needs; the standing is as before.
+    fn choose_with(&mut self, cx: &Context, ask: &Ask, standing: &mut Standing) -> Option<Choice> {
+        self.restart(ask, standing);
+        let state = cx.state;
+        let (evaluations, opened) = (self.search.evaluations(), self.search.nodes_opened());
+        let evaluations_max = evaluations + EVALUATIONS_MAX;
+        let mut best: Option<(Choice, f64)> = None;
+        let mut passed_over = Vec::new();
+        for weighed in 0..=SWAPS_WEIGHED {
+            let floor = best.as_ref().map_or(0.0, |(b, _)| b.ratio);
+            let stop = Stop { tolerance: cx.settings.tolerance, floor, evaluations_max };
+            let Some(ranked) = self.search.next(ask, standing, stop) else { break };
+            let need: u64 = ranked.members.iter().map(|&m| state.request_bytes(m)).sum();
+            let free = state.free_bytes();
+            let (discards, loss) = if need <= free {
+                (Vec::new(), 0.0)
+            } else if weighed == SWAPS_WEIGHED {
+                passed_over.push(ranked);
+                break;
+            } else {
+                match self.swap(cx, ask, standing, &ranked, need - free) {
+                    Some(swap) => swap,
+                    // It cannot gain before the next sampling; discards since then only make it worse.
+                    None => continue,
+                }
+            };
+            let net = (ranked.gain - loss) / ranked.cost;
+            passed_over.push(ranked.clone());
+            if net > floor {
+                let Ranked { rep, members, gain, cost, .. } = ranked;
+                best = Some((Choice { ratio: net, gain, rep, members, discards }, cost));
+                if loss == 0.0 {
+                    break;
+                }
+            }
+        }
+        for ranked in passed_over.iter().filter(|r| best.as_ref().is_none_or(|(b, _)| b.rep != r.rep)) {
+            self.search.give_back(ranked);
+        }
+        let upper = self.search.upper();
+        let ratio = best.as_ref().map_or(0.0, |(b, _)| b.ratio);
+        if let Some((choice, cost)) = &best {
+            self.taken.0 += choice.ratio * cost;
+            self.taken.1 += cost;
+        }
+        let (gained, spent) = self.taken;
+        let left = upper * spent;
+        self.certificate = Some(Certificate {
+            evaluations: self.search.evaluations() - evaluations,
+            nodes_opened: self.search.nodes_opened() - opened,
+            plan_gap: if left > 0.0 && left.is_finite() { left / (gained + left) } else { 0.0 },
+            cut_short: self.search.evaluations() >= evaluations_max,
+            ..Certificate::of(ratio, upper)
+        });
+        best.map(|(choice, _)| choice)
+    }
+
+    /// Discards for a closure and their joint loss, or `None` if the swap does not gain. The standing is as before.
+    fn swap(
+        &mut self,
+        cx: &Context,
+        ask: &Ask,
+        standing: &mut Standing,
+        ranked: &Ranked,
+        bytes: u64,
+    ) -> Option<(Vec<RepId>, f64)> {
+        let (state, tree, members) = (cx.state, ask.tree, &ranked.members);
+        if members.iter().map(|&m| state.request_bytes(m)).sum::<u64>() > state.budget {
+            return None;
+        }
+        for &member in members {
+            standing.insert(tree, member);
+        }
+        let planned = cx.settings.discards == Discards::Planned;
+        let may_go = |rep: RepId| {
+            state.status(rep) == Status::Resident && !state.is_needed(rep) && !needed_by(state, rep, members)
+        };
+        let mut replaced = Vec::new();
+        if planned {
+            // A new representation takes over from the nearest owner above it: that one's loss falls.
+            for &member in members {
+                let others = |n| tree.own(n).filter(|r| standing.plan().contains(*r) && !members.contains(r));
+                if let Some(owner) = tree.ancestors(tree.node_of(member)).find(|&n| others(n).next().is_some()) {
+                    replaced.extend(others(owner));
+                }
+            }
+            replaced.sort_unstable();
+            replaced.dedup();
+        }
+        let limit = if planned { ranked.gain / (1.0 + cx.settings.hysteresis) } else { f64::INFINITY };
+        let wire: u64 = members.iter().map(|&m| tree.wire_bytes(m)).sum();
+        let offset = ask.link.arrival_of(wire);
+        let (search, residents) = (&mut self.search, &mut self.residents);
+        let chosen = residents.choose(ask, search, standing, &replaced, bytes, offset, limit, planned, &may_go);
+        for &member in members.iter().rev() {
+            standing.remove(tree, member);
+        }
+        let swap = chosen.filter(|s| !planned || ranked.gain > (1.0 + cx.settings.hysteresis) * s.loss)?;
+        Some((swap.reps, swap.loss))
+    }
+}
+
+impl Choose for CertifiedChoice {
+    fn sample(&mut self, cx: &Context, ahead: &Lookahead) {
+        let s = cx.settings;
+        let settings = ObjectiveSettings { alpha: ahead.alpha, attenuation: s.attenuation, cut: s.cut };
+        self.objective.make(cx.state.tree, &ahead.paths, &ahead.bounds, ahead.worst(), &settings);
+        self.restarted = false;
+        self.residents.sampled();
+        self.nearest = ahead.paths.first().and_then(|path| path.views.first()).copied();
+        self.seen = None;
+        self.taken = (0.0, 0.0);
+    }
+
+    fn added(&mut self, cx: &Context, rep: RepId) {
+        self.residents.added(rep);
+        self.with_ask(cx, |this, ask, standing| {
+            if standing.insert(ask.tree, rep) && this.restarted {
+                this.search.added(ask, rep);
+            }
+        });
+    }
+
+    fn removed(&mut self, cx: &Context, rep: RepId) {
+        self.residents.removed(rep);
+        self.with_ask(cx, |this, ask, standing| {
+            if standing.remove(ask.tree, rep) && this.restarted {
+                this.search.removed(ask, standing, rep);
+            }
+        });
+    }
+
+    fn forget(&mut self) {
+        self.stale = true;
+    }
+
+    fn cover(&mut self, cx: &Context) -> Option<RepId> {
+        let (state, tree) = (cx.state, cx.state.tree);
+        let nearest = self.nearest?;
+        let standing = self.read(state);
+        let seen = self.seen.get_or_insert_with(|| {
+            let mut cut = Cut::default();
+            cut.make(tree, &nearest, Region::Frustum, &cx.settings.cut);
+            cut
+        });
+        let mut weight = BTreeMap::<RepId, f64>::new();
+        for patch in &seen.patches {
+            if standing.plan().shown_at(tree, patch.node).0.is_none() {
+                let coarsest = tree.ancestors(patch.node).filter_map(|n| tree.own(n).next()).last();
+                if let Some(rep) = coarsest {
+                    *weight.entry(rep).or_default() += patch.weight;
+                }
+            }
+        }
+        self.standing = Some(standing);
+        let per_byte = |(rep, weight): &(RepId, f64)| weight / tree.wire_bytes(*rep) as f64;
+        let candidates = weight.into_iter().filter(|&(r, _)| cx.may_fetch(r) && state.has_prerequisite(r));
+        candidates
+            .filter(|&(r, _)| state.request_bytes(r) <= state.free_bytes())
+            .max_by(|a, b| per_byte(a).total_cmp(&per_byte(b)).then(b.0.cmp(&a.0)))
+            .map(|(rep, _)| rep)
+    }
+
+    fn pointless_request(&mut self, cx: &Context) -> Option<RepId> {
+        first_pointless(cx, |_, _| true)?;
+        self.with_ask(cx, |this, ask, standing| {
+            this.restart(ask, standing);
+            let evaluations_max = this.search.evaluations() + EVALUATIONS_MAX;
+            let best = this.search.next(ask, standing, Stop { tolerance: 0.1, floor: 0.0, evaluations_max });
+            if let Some(best) = &best {
+                this.search.give_back(best);
+            }
+            let ratio = best.map_or(0.0, |b| b.ratio);
+            let offset = ask.link.first_byte_s;
+            first_pointless(cx, |rep, seconds| this.search.marginal(ask, standing, rep, offset) / seconds < 0.1 * ratio)
+        })
+    }
+
+    fn choose(&mut self, cx: &Context) -> Option<Choice> {
+        debug_assert!(
+            cx.state.planned().refinement() == Refinement::Partial,
+            "sibling groups are for the sampled choice"
+        );
+        self.with_ask(cx, |this, ask, standing| {
+            if (cx.state.free_bytes() as f64) < WATCHED_BELOW * cx.state.budget as f64 {
+                this.residents.turn(ask, standing, ask.link.first_byte_s);
+            }
+            this.choose_with(cx, ask, standing)
+        })
+    }
+
+    fn certificate(&self) -> Option<Certificate> {
+        self.certificate
+    }
+}

@@ -1,0 +1,166 @@
+//! Upper bounds for what lies in a box: nearest distance, frustum, area per byte and least error.
+
+use super::objective::Objective;
+use crate::lod_tree::Beneath;
+use glam::DVec3;
+
+/// The terms among which a box may be seen: a bit each, the last bit for all from the 64th on.
+pub(super) type Mask = u64;
+
+/// Every term.
+pub(super) const ALL: Mask = Mask::MAX;
+
+/// The bit of a term.
+pub(super) fn bit(term: usize) -> Mask {
+    1 << term.min(63)
+}
+
+/// Covers the rounding of areas to f32 and of the sums in f64, which is below 10⁻⁶ and 10⁻¹².
+const SLACK: f64 = 1.0 + 1e-6;
+
+/// A bound that is wanted: for candidates with at most this area per byte and at least this error, where at most `shown`
+/// is shown.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Target {
+    density: DVec3,
+    least_squared: f64,
+    shown: f64,
+}
+
+impl Target {
+    /// For candidates within `bounds` where everything is shown with an error of at most `shown` metres (∞: nothing).
+    pub(super) fn new(bounds: &Beneath, shown: f32) -> Target {
+        let [x, y, z] = bounds.density.map(f64::from);
+        let least = f64::from(bounds.least_error);
+        Target { density: DVec3::new(x, y, z), least_squared: least * least, shown: f64::from(shown) }
+    }
+
+    /// For everything that has these face areas, m², instead of an area per byte.
+    pub(super) fn of_area(areas: DVec3, least_error: f32, shown: f32) -> Target {
+        let least = f64::from(least_error);
+        Target { density: areas, least_squared: least * least, shown: f64::from(shown) }
+    }
+
+    /// Largest accuracy that can be added at a sharpness of exactly `s`.
+    fn added_at(&self, s: f64) -> f64 {
+        let with = 1.0 / (1.0 + self.least_squared * s);
+        if self.shown == f64::INFINITY {
+            return with;
+        }
+        let shown_squared = self.shown * self.shown;
+        s * (shown_squared - self.least_squared) * with / (1.0 + shown_squared * s)
+    }
+
+    /// At any sharpness up to `s`: the accuracy added rises up to s = 1/(e·e_shown) and falls from there on.
+    fn added_up_to(&self, s: f64) -> f64 {
+        let best = 1.0 / (self.least_squared.sqrt() * self.shown);
+        if self.shown == f64::INFINITY {
+            // Nearest 1 from far away.
+            return 1.0;
+        }
+        self.added_at(s.min(best))
+    }
+}
+
+impl Objective {
+    /// For each target, at least the gain (per byte, or whole) of every candidate in the box; ∞ where an eye may be inside.
+    /// Looks only at the terms of `mask` and returns those that may see the box. `weights` are the terms' shares.
+    pub(super) fn bound(
+        &self,
+        weights: &[f64],
+        centre: DVec3,
+        half: DVec3,
+        mask: Mask,
+        targets: &[Target],
+        out: &mut Vec<f64>,
+    ) -> Mask {
+        out.clear();
+        out.resize(targets.len(), 0.0);
+        let mut seen = 0;
+        for (i, term) in self.terms.iter().enumerate() {
+            if mask & bit(i) == 0 {
+                continue;
+            }
+            let centre = centre - term.eye.frustum.eye;
+            let reachable = term.eye.is_reachable();
+            if reachable {
+                // A hair wider, so that rounding cannot tell a box from its parts.
+                let wide = half * (1.0 + 1e-9) + centre.abs() * 1e-12;
+                if term.eye.side(centre, wide) == crate::benefit::frustum::Side::Outside {
+                    continue;
+                }
+            } else if term.planes.iter().any(|(plane, abs)| {
+                let extent = abs.dot(half);
+                plane.dot(centre) < -extent - 1e-12 * (abs.dot(centre.abs()) + extent)
+            }) {
+                continue;
+            }
+            seen |= bit(i);
+            if weights[i] <= 0.0 {
+                continue;
+            }
+            let delta = (centre.abs() - half).max(DVec3::ZERO);
+            let squared = delta.length_squared();
+            let distance = squared.sqrt();
+            let shown_from = term.eye.shown_distance(distance);
+            if distance <= 0.0 || (!reachable && shown_from > distance) {
+                out.fill(f64::INFINITY);
+                continue;
+            }
+            // Largest cosine between the directions into the box and each axis.
+            let cosines = ((centre.abs() + half) / distance).min(DVec3::ONE);
+            let share = weights[i] / squared;
+            if reachable {
+                let s = term.sharpness / (shown_from * shown_from);
+                for (bound, target) in out.iter_mut().zip(targets) {
+                    *bound += share * target.density.dot(cosines) * target.added_up_to(s);
+                }
+            } else {
+                // Weight × accuracy added is s·Δa(s) up to constants, which rises with s: nearest counts most.
+                let s = term.sharpness / squared;
+                for (bound, target) in out.iter_mut().zip(targets) {
+                    *bound += share * target.density.dot(cosines) * target.added_at(s);
+                }
+            }
+        }
+        for bound in out.iter_mut() {
+            *bound = if bound.is_nan() { f64::INFINITY } else { *bound * SLACK };
+        }
+        seen
+    }
+}
+
+impl Objective {
+    /// About what showing a box with `error` instead of `others` adds, and whether the first term sees it: not a bound.
+    pub(super) fn guess(
+        &self,
+        weights: &[f64],
+        centre: DVec3,
+        half: DVec3,
+        areas: DVec3,
+        error: f32,
+        others: f32,
+    ) -> (f64, bool) {
+        let target = Target::of_area(areas, error, others);
+        let (mut sum, mut in_first) = (0.0, false);
+        for (i, term) in self.terms.iter().enumerate() {
+            let centre = centre - term.eye.frustum.eye;
+            let outside = if term.eye.is_reachable() {
+                term.eye.side(centre, half) == crate::benefit::frustum::Side::Outside
+            } else {
+                term.planes.iter().any(|(plane, abs)| plane.dot(centre) < -abs.dot(half))
+            };
+            if outside {
+                continue;
+            }
+            in_first |= i == 0;
+            let squared = (centre.length_squared() + 0.25 * half.length_squared()).max(f64::MIN_POSITIVE);
+            let distance = squared.sqrt();
+            let shown_from = term.eye.shown_distance(distance);
+            let area = areas.dot((centre / distance).abs());
+            let solid_angle = (area / squared).min(term.eye.frustum.solid_angle);
+            sum += weights[i] * solid_angle * target.added_at(term.sharpness / (shown_from * shown_from));
+        }
+        (sum, in_first)
+    }
+}

@@ -1,0 +1,118 @@
+//! The objective as a set of views, each with its share: J(R) is their weighted sum.
+//!
+//! The integral of ARCHITECTURE.md is a midpoint rule: one view an interval of \[t, t+δ\] and predicted path, and the worst
+//! case is one more. Nothing is summed here: a candidate's gain is summed over its own subtree when it is asked for.
+
+use crate::benefit::cut::{Cut, CutSettings, Eye, Region};
+use crate::lod_tree::LodTree;
+use crate::predict::PredictedPath;
+use crate::select::horizon::Worst;
+use crate::view::View;
+
+/// θ of the cuts that only scale the weights of a view to its frustum.
+const SCALE_OPENING: f64 = 0.6;
+
+/// What the objective is made of.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ObjectiveSettings {
+    /// α: share of the predicted paths; the rest is the worst case.
+    pub alpha: f64,
+    /// Attenuation rate per second: att(u) = exp(−rate·u).
+    pub attenuation: f64,
+    /// Opening angle, near plane and centre weighting.
+    pub cut: CutSettings,
+}
+
+/// One view of the objective.
+#[derive(Clone, Debug)]
+pub(super) struct Term {
+    pub(super) eye: Eye,
+    /// Half-spaces of the frustum, each with its absolute values; a box outside one of them weighs nothing.
+    pub(super) planes: [(glam::DVec3, glam::DVec3); 4],
+    /// (pixels per radian / e₀)²: the sharpness is this over the squared distance.
+    pub(super) sharpness: f64,
+    /// Interval of time, as a place in `spans`; the last one is always.
+    span: usize,
+    /// Share of the objective, with the view's scale, 1/sr·sr.
+    factor: f64,
+}
+
+/// The views and their shares.
+#[derive(Clone, Debug, Default)]
+pub struct Objective {
+    pub(super) terms: Vec<Term>,
+    /// Ends of the intervals, seconds from now.
+    spans: Vec<(f64, f64)>,
+    scratch: Cut,
+}
+
+impl Objective {
+    /// Looks ahead anew. `bounds` are the ends of the intervals in seconds, ascending from 0; each of `paths` has a view
+    /// per interval, at its middle. `worst` is the view with the region reachable from it, or the worst reachable views.
+    pub fn make<'a>(
+        &mut self,
+        tree: &LodTree,
+        paths: &[PredictedPath],
+        bounds: &[f64],
+        worst: impl Into<Worst<'a>>,
+        settings: &ObjectiveSettings,
+    ) {
+        self.terms.clear();
+        self.spans.clear();
+        self.spans.extend(bounds.windows(2).map(|w| (w[0], w[1])));
+        let att: Vec<f64> = self
+            .spans
+            .iter()
+            .map(|(from, to)| (to - from) * libm::exp(-settings.attenuation * 0.5 * (from + to)))
+            .collect();
+        let whole: f64 = att.iter().sum();
+        if settings.alpha > 0.0 && whole > 0.0 {
+            for path in paths {
+                for (span, view) in path.views.iter().enumerate().take(att.len()) {
+                    let factor = settings.alpha * path.weight * att[span] / whole;
+                    self.add(tree, view, Region::Frustum, span, factor, &settings.cut);
+                }
+            }
+        }
+        if settings.alpha < 1.0 {
+            let cut = CutSettings { centre_falloff: 0.0, ..settings.cut };
+            let (always, share) = (self.spans.len(), 1.0 - settings.alpha);
+            match worst.into() {
+                Worst::Union(view, region) => self.add(tree, view, region, always, share, &cut),
+                Worst::Views(views) => {
+                    for (weight, view) in views {
+                        self.add(tree, view, Region::Frustum, always, share * weight, &cut);
+                    }
+                }
+            }
+        }
+    }
+
+    fn add(&mut self, tree: &LodTree, view: &View, region: Region, span: usize, factor: f64, settings: &CutSettings) {
+        if factor.is_nan() || factor <= 0.0 {
+            return;
+        }
+        let eye = Eye::new(view, region, settings);
+        let coarse = CutSettings { opening: settings.opening.max(SCALE_OPENING), ..*settings };
+        self.scratch.make(tree, view, region, &coarse);
+        let half_accuracy = crate::benefit::accuracy::HALF_ACCURACY_PX;
+        let ratio = eye.frustum.pixels_per_radian / half_accuracy;
+        self.terms.push(Term {
+            planes: eye.frustum.planes.map(|p| (p, p.abs())),
+            eye,
+            sharpness: ratio * ratio,
+            span,
+            factor: factor * self.scratch.scale,
+        });
+    }
+
+    /// Writes the share of each term that lies after `offset` seconds.
+    pub(super) fn weights(&self, offset: f64, weights: &mut Vec<f64>) {
+        weights.clear();
+        weights.extend(self.terms.iter().map(|term| {
+            let share =
+                self.spans.get(term.span).map_or(1.0, |(from, to)| ((to - offset) / (to - from)).clamp(0.0, 1.0));
+            term.factor * share
+        }));
+    }
+}

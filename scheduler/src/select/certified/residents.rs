@@ -1,0 +1,248 @@
+//! What to give up when memory is full: least loss per byte first, without weighing thousands of residents at once.
+//!
+//! Every resident keeps the loss last seen for it. A few are estimated anew at each tick, in turn; when room is made, the
+//! first is evaluated exactly, and goes only if it then still comes first.
+
+use super::search::{Ask, Search};
+use super::standing::{IdMap, Standing};
+use crate::lod_tree::RepId;
+use crate::select::discard::Victim;
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
+/// Residents looked at to make room once.
+const LOOKS_MAX: usize = 192;
+/// Estimates at one tick: the share of the residents, and their least and largest number.
+const TURN: (usize, usize, usize) = (8, 16, 160);
+
+/// Whether a resident may be discarded.
+pub type MayGo<'a> = &'a dyn Fn(RepId) -> bool;
+
+#[derive(Clone, Copy, Debug)]
+struct Slot {
+    rep: RepId,
+    /// ΔJ per decoded byte, as last seen.
+    loss_per_byte: f64,
+    /// When it was last seen to show something in the nearest predicted view, counted in samplings.
+    last_used: u32,
+    /// The sampling that the loss is from; 0 before the first.
+    of: u32,
+}
+
+/// Discards that make room, and what they cost.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Sacrifice {
+    /// In the order chosen.
+    pub reps: Vec<RepId>,
+    /// ΔJ lost with all of them together.
+    pub loss: f64,
+}
+
+/// The planned representations with their losses.
+#[derive(Clone, Debug, Default)]
+pub struct Residents {
+    slots: Vec<Slot>,
+    place: IdMap<u32>,
+    /// Whose turn it is.
+    cursor: usize,
+    sampling: u32,
+    heap: BinaryHeap<Reverse<Victim>>,
+    /// Whether the heap has been filled since the last sampling.
+    filled: bool,
+    weights: Vec<f64>,
+}
+
+impl Residents {
+    /// Forgets all.
+    pub fn clear(&mut self) {
+        *self = Residents::default();
+    }
+
+    /// `rep` is planned.
+    pub fn added(&mut self, rep: RepId) {
+        if self.place.contains_key(&rep.0) {
+            return;
+        }
+        self.place.insert(rep.0, self.slots.len() as u32);
+        let slot = Slot { rep, loss_per_byte: 0.0, last_used: self.sampling, of: 0 };
+        self.slots.push(slot);
+        if self.filled {
+            self.enter(slot);
+        }
+    }
+
+    /// `rep` is planned no more.
+    pub fn removed(&mut self, rep: RepId) {
+        let Some(place) = self.place.remove(&rep.0) else { return };
+        self.slots.swap_remove(place as usize);
+        if let Some(moved) = self.slots.get(place as usize) {
+            self.place.insert(moved.rep.0, place);
+        }
+    }
+
+    /// The objective has been sampled anew: what is known are guesses again.
+    pub fn sampled(&mut self) {
+        self.sampling += 1;
+        self.filled = false;
+    }
+
+    fn enter(&mut self, slot: Slot) {
+        let Slot { rep, loss_per_byte, last_used, .. } = slot;
+        self.heap.push(Reverse(Victim { loss_per_byte, last_used, rep }));
+    }
+
+    /// Estimates the losses of those whose turn it is.
+    pub fn turn(&mut self, ask: &Ask, standing: &Standing, offset: f64) {
+        let (share, least, most) = TURN;
+        let count = (self.slots.len() / share).clamp(least, most).min(self.slots.len());
+        ask.objective.weights(offset, &mut self.weights);
+        for _ in 0..count {
+            self.cursor = if self.cursor + 1 < self.slots.len() { self.cursor + 1 } else { 0 };
+            self.estimate(ask, standing, self.cursor);
+        }
+    }
+
+    /// Guesses a loss: the area that nothing beneath shows, at the middle of the box, in the views that it meets.
+    fn estimate(&mut self, ask: &Ask, standing: &Standing, place: usize) {
+        let Some(slot) = self.slots.get_mut(place) else { return };
+        let (tree, rep) = (ask.tree, slot.rep);
+        let node = tree.node_of(rep);
+        let summary = standing.beneath(tree, node);
+        let areas = tree.face_areas(node);
+        let whole = areas.element_sum();
+        let error = tree.error(rep) as f32;
+        let bare = if error >= summary.shown || whole <= 0.0 {
+            0.0
+        } else {
+            (1.0 - f64::from(summary.covered) / whole).clamp(0.0, 1.0)
+        };
+        let mut others = tree.parent(node).map_or(f32::INFINITY, |p| standing.plan().best_above(tree, p));
+        for other in tree.own(node).filter(|&r| r != rep && standing.plan().contains(r)) {
+            others = others.min(tree.error(other) as f32);
+        }
+        let (mut loss, mut in_view) = (0.0, false);
+        if bare > 0.0 && error < others {
+            let (centre, half) = (tree.centre(node), tree.half(node));
+            (loss, in_view) = ask.objective.guess(&self.weights, centre, half, areas, error, others);
+        }
+        slot.loss_per_byte = bare * loss / tree.decoded_bytes(rep).max(1) as f64;
+        slot.of = self.sampling;
+        if in_view {
+            slot.last_used = self.sampling;
+        }
+    }
+
+    /// Takes residents out of `standing` until `bytes` are freed, losses counted from `offset` on. `near` are residents
+    /// whose loss has just fallen (those that a new representation replaces). Stops with `None`, and `standing` as before,
+    /// when the loss exceeds `loss_max`, nothing is left, or too many had to be looked at. Without `planned` nothing is
+    /// weighed: least recent use decides.
+    #[expect(clippy::too_many_arguments, reason = "inputs of one greedy step; grouping them would only rename them")]
+    pub fn choose(
+        &mut self,
+        ask: &Ask,
+        search: &mut Search,
+        standing: &mut Standing,
+        near: &[RepId],
+        bytes: u64,
+        offset: f64,
+        loss_max: f64,
+        planned: bool,
+        may_go: MayGo,
+    ) -> Option<Sacrifice> {
+        let tree = ask.tree;
+        if !self.filled {
+            self.filled = true;
+            let mut victims = core::mem::take(&mut self.heap).into_vec();
+            victims.clear();
+            victims.extend(self.slots.iter().map(|slot| {
+                let loss_per_byte = if planned { slot.loss_per_byte } else { 0.0 };
+                Reverse(Victim { loss_per_byte, last_used: slot.last_used, rep: slot.rep })
+            }));
+            self.heap = BinaryHeap::from(victims);
+        }
+        ask.objective.weights(offset, &mut self.weights);
+        let mut sacrifice = Sacrifice::default();
+        let mut freed = 0;
+        let mut near: Vec<RepId> = near.iter().copied().filter(|&r| planned && may_go(r)).collect();
+        let mut aside = Vec::new();
+        // Exact for the plan of this version.
+        let mut exact: Vec<(RepId, u64)> = Vec::new();
+        let mut looks = 0;
+        let weigh = |search: &mut Search, standing: &Standing, rep: RepId, last_used: u32| Victim {
+            loss_per_byte: search.marginal(ask, standing, rep, offset) / tree.decoded_bytes(rep).max(1) as f64,
+            last_used,
+            rep,
+        };
+        while freed < bytes && looks < LOOKS_MAX {
+            let mut first: Option<Victim> = None;
+            while let Some(Reverse(victim)) = self.heap.pop() {
+                let Some(&place) = self.place.get(&victim.rep.0) else { continue };
+                if !standing.plan().contains(victim.rep) {
+                    continue;
+                }
+                if !may_go(victim.rep) {
+                    aside.push(victim);
+                    continue;
+                }
+                looks += 1;
+                let slot = self.slots[place as usize];
+                if !planned || exact.contains(&(victim.rep, standing.version())) {
+                    first = Some(victim);
+                    break;
+                }
+                // First a fresh guess, then the exact loss, each only while it stays in front.
+                let is_guess = slot.of != self.sampling;
+                let fresh = if is_guess {
+                    self.estimate(ask, standing, place as usize);
+                    let slot = self.slots[place as usize];
+                    Victim { loss_per_byte: slot.loss_per_byte, last_used: slot.last_used, rep: slot.rep }
+                } else {
+                    let fresh = weigh(search, standing, victim.rep, slot.last_used);
+                    exact.push((victim.rep, standing.version()));
+                    self.slots[place as usize].loss_per_byte = fresh.loss_per_byte;
+                    fresh
+                };
+                if !is_guess && self.heap.peek().is_none_or(|Reverse(next)| fresh <= *next) {
+                    first = Some(fresh);
+                    break;
+                }
+                self.heap.push(Reverse(fresh));
+                if looks >= LOOKS_MAX {
+                    break;
+                }
+            }
+            let mut nearest: Option<Victim> = None;
+            for &rep in near.iter().filter(|&&r| standing.plan().contains(r)) {
+                looks += 1;
+                let fresh = weigh(search, standing, rep, 0);
+                nearest = Some(nearest.map_or(fresh, |n: Victim| n.min(fresh)));
+            }
+            let victim = match (first, nearest) {
+                (Some(a), Some(b)) if b.loss_per_byte < a.loss_per_byte => {
+                    self.heap.push(Reverse(a));
+                    b
+                }
+                (Some(a), _) => a,
+                (None, Some(b)) => b,
+                (None, None) => break,
+            };
+            near.retain(|&r| r != victim.rep);
+            sacrifice.loss += victim.loss_per_byte * tree.decoded_bytes(victim.rep).max(1) as f64;
+            freed += tree.decoded_bytes(victim.rep);
+            sacrifice.reps.push(victim.rep);
+            standing.remove(tree, victim.rep);
+            if sacrifice.loss > loss_max {
+                break;
+            }
+        }
+        self.heap.extend(aside.into_iter().map(Reverse));
+        // What was taken out is only meant to go: whoever acts on it removes it for good.
+        for &rep in &sacrifice.reps {
+            standing.insert(tree, rep);
+            if let Some(&place) = self.place.get(&rep.0) {
+                self.enter(self.slots[place as usize]);
+            }
+        }
+        (freed >= bytes && sacrifice.loss <= loss_max).then_some(sacrifice)
+    }
+}

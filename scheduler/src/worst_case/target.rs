@@ -1,0 +1,450 @@
+//! What the views of a neighbourhood could see: leaves and far groups, chosen once for all of them, and bounds on the
+//! deficit over a set of views.
+//!
+//! A leaf has its exact solid angle in the frustum and the accuracy at its nearest point, a far group the projected
+//! areas of its leaves and the accuracy at its middle (a far leaf at its nearest point), as in [`crate::benefit::cut`]. A group is kept as one if it is far,
+//! by the opening angle, from every reachable eye: so the deficit is one continuous function over the neighbourhood, at
+//! each view at least as fine as the view's own cut. Opening 0 is the sum over leaves.
+
+use super::bounds::{Interval, Item, Lens, scale, scaled_sum, solid_angle};
+use super::neighbourhood::Neighbourhood;
+use super::view_box::Views;
+use super::{WorstCaseError, check_cut};
+use crate::benefit::accuracy::{accuracy, sharpness};
+use crate::benefit::coverage::Coverage;
+use crate::benefit::cut::CutSettings;
+use crate::benefit::frustum::Frustum;
+use crate::benefit::solid_angle::of_box_in_frustum;
+use crate::lod_tree::{LodTree, NodeId};
+use crate::view::View;
+use core::ops::Range;
+use glam::DVec3;
+
+/// A leaf or a far group with the errors that the resident set shows it with.
+#[derive(Clone, Debug)]
+struct Target {
+    node: NodeId,
+    centre: DVec3,
+    half: DVec3,
+    /// Σ ι·A by axis, m².
+    areas: DVec3,
+    /// ι; of a far group it is in the areas.
+    importance: f64,
+    is_far: bool,
+    is_leaf: bool,
+    /// Into [`Targets::parts`]; a leaf has one.
+    parts: Range<u32>,
+}
+
+/// Projected areas that are shown with one error.
+#[derive(Clone, Copy, Debug)]
+struct Part {
+    areas: DVec3,
+    error: f32,
+}
+
+/// Everything that some view of a neighbourhood could see, with a resident set folded in.
+#[derive(Clone, Debug)]
+pub struct Targets {
+    targets: Vec<Target>,
+    parts: Vec<Part>,
+    view: View,
+    near: f64,
+    pixels_per_radian: f64,
+    solid_angle: f64,
+}
+
+/// A view's scaled sums, sr.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Deficit {
+    /// min(1, Ω/Σw)·Σ w·(1 − q).
+    pub deficit: f64,
+    /// min(Σw, Ω).
+    pub weight: f64,
+}
+
+/// Half angles of frusta beyond which polygons are no longer clipped exactly, radians: their solid angles are then
+/// bounded by those of the whole box.
+const CLIP_CORNER_MAX: f64 = 1.45;
+
+impl Targets {
+    /// Of a neighbourhood: everything that is not outside for all its views. Distances are at least the near plane and
+    /// the stand-off.
+    pub fn new(
+        tree: &LodTree,
+        neighbourhood: &Neighbourhood,
+        coverage: &Coverage,
+        settings: &CutSettings,
+    ) -> Result<Targets, WorstCaseError> {
+        check_cut(settings)?;
+        let view = *neighbourhood.view();
+        let whole = neighbourhood.views(&neighbourhood.whole());
+        let lens = Lens::new(&View { position: whole.eye, orientation: whole.orientation, ..view });
+        let frustum = &lens.frustum;
+        let mut made = Targets {
+            targets: Vec::new(),
+            parts: Vec::new(),
+            view,
+            near: settings.near.max(neighbourhood.stand_off()),
+            pixels_per_radian: view.pixels_per_radian(),
+            solid_angle: frustum.solid_angle,
+        };
+        let mut next = NodeId(0);
+        let mut stack = Vec::new();
+        while next.index() < tree.nodes() {
+            let node = next;
+            let (centre, half) = (tree.centre(node) - whole.eye, tree.half(node));
+            let side = side_of(frustum, centre, half, &whole);
+            if side == Seen::Never {
+                next = tree.subtree_end(node);
+                continue;
+            }
+            let opening = if side == Seen::Always { settings.opening } else { 0.5 * settings.opening };
+            let is_far = half.length() < opening * (centre.length() - whole.radius);
+            if !tree.is_leaf(node) && !is_far {
+                next = NodeId(node.0 + 1);
+                continue;
+            }
+            next = tree.subtree_end(node);
+            let first = made.parts.len() as u32;
+            let above = coverage.best_above(tree, node);
+            if coverage.any_beneath(node) {
+                stack.clear();
+                stack.push((node, above));
+                while let Some((inner, error)) = stack.pop() {
+                    for child in tree.children(inner) {
+                        let error = error.min(coverage.best_at(child));
+                        if coverage.any_beneath(child) {
+                            stack.push((child, error));
+                        } else {
+                            made.parts.push(Part { areas: tree.face_areas(child), error });
+                        }
+                    }
+                }
+            } else {
+                made.parts.push(Part { areas: tree.face_areas(node), error: above });
+            }
+            let (areas, importance) = (tree.face_areas(node), tree.importance(node));
+            // What weighs nothing from anywhere is left out.
+            if importance <= 0.0 && tree.is_leaf(node) || is_far && areas == DVec3::ZERO {
+                made.parts.truncate(first as usize);
+                continue;
+            }
+            let (centre, parts) = (tree.centre(node), first..made.parts.len() as u32);
+            let is_leaf = tree.is_leaf(node);
+            made.targets.push(Target { node, centre, half, areas, importance, is_far, is_leaf, parts });
+        }
+        Ok(made)
+    }
+
+    /// How many there are: what evaluating a view costs.
+    pub fn len(&self) -> usize {
+        self.targets.len()
+    }
+
+    /// Whether nothing can be seen.
+    pub fn is_empty(&self) -> bool {
+        self.targets.is_empty()
+    }
+
+    /// Solid angle of the frustum, sr.
+    pub fn solid_angle(&self) -> f64 {
+        self.solid_angle
+    }
+
+    /// The nodes: leaves, and groups that are far from every reachable eye.
+    pub fn nodes(&self) -> impl Iterator<Item = NodeId> + '_ {
+        self.targets.iter().map(|t| t.node)
+    }
+
+    fn deficit_of(&self, error: f32, distance: f64) -> f64 {
+        1.0 - accuracy(f64::from(error), sharpness(self.pixels_per_radian, distance.max(self.near)))
+    }
+
+    /// The deficit of one view; exact up to rounding.
+    pub fn at(&self, view: &View) -> Deficit {
+        self.sum(view, self.targets.iter())
+    }
+
+    /// As [`Targets::at`] where only `among` can be seen.
+    pub fn at_among(&self, view: &View, among: &[(u32, Item)]) -> Deficit {
+        self.sum(view, among.iter().map(|&(index, _)| &self.targets[index as usize]))
+    }
+
+    fn sum<'a>(&self, view: &View, targets: impl Iterator<Item = &'a Target>) -> Deficit {
+        let frustum = Frustum::new(view);
+        let (mut deficit, mut weight) = (0.0, 0.0);
+        for target in targets {
+            let (w, wd) = self.value(target, &frustum);
+            weight += w;
+            deficit += wd;
+        }
+        let scale = scale(weight, self.solid_angle);
+        Deficit { deficit: deficit * scale, weight: weight * scale }
+    }
+
+    /// Mean of 1/distance over what the present view sees, by weight: how many radians a metre of motion is worth. Where
+    /// it sees nothing, that of the nearest target.
+    pub fn radians_per_metre(&self) -> f64 {
+        let frustum = Frustum::new(&self.view);
+        let (mut sum, mut weight, mut nearest) = (0.0, 0.0, f64::INFINITY);
+        for target in &self.targets {
+            let centre = target.centre - frustum.eye;
+            let distance = (centre.abs() - target.half).max(DVec3::ZERO).length().max(self.near);
+            let (w, _) = self.value(target, &frustum);
+            weight += w;
+            sum += w / distance;
+            nearest = nearest.min(distance);
+        }
+        let mean = if weight > 0.0 { sum / weight } else { 1.0 / nearest };
+        if mean.is_finite() { mean } else { 0.0 }
+    }
+
+    /// Weight, and weight × deficit.
+    fn value(&self, target: &Target, frustum: &Frustum) -> (f64, f64) {
+        let centre = target.centre - frustum.eye;
+        if target.is_far {
+            let distance = centre.length();
+            let share = share_inside(frustum, centre, target.half, DVec3::ZERO, 0.0, 0.0).hi;
+            let projected = |areas: DVec3| areas.dot(centre.abs() / distance) / (distance * distance);
+            let parts = &self.parts[target.parts.start as usize..target.parts.end as usize];
+            let looked_at = if target.is_leaf { nearest(centre, target.half) } else { distance };
+            let wd: f64 = parts.iter().map(|p| projected(p.areas) * self.deficit_of(p.error, looked_at)).sum();
+            return (share * projected(target.areas), share * wd);
+        }
+        let omega = of_box_in_frustum(centre, target.half, frustum, 0b1111);
+        let weight = target.importance * omega;
+        let error = self.parts[target.parts.start as usize].error;
+        (weight, weight * self.deficit_of(error, nearest(centre, target.half)))
+    }
+
+    /// Weight and deficit of every target that some of the views may see, into `found`. Only the targets named by `among`
+    /// are looked at, or all.
+    pub fn enclose(&self, views: &Views, among: Option<&[u32]>, found: &mut Vec<(u32, Item)>) {
+        let lens = Lens::new(&View { position: views.eye, orientation: views.orientation, ..self.view });
+        let wide = lens.widened(views.turn);
+        let narrow = lens.narrowed(views.turn);
+        found.clear();
+        let all = 0..self.targets.len() as u32;
+        let mut look = |index: u32| {
+            let item = self.bounds(&self.targets[index as usize], views, &lens, &wide, narrow.as_ref());
+            if item.weight.hi > 0.0 {
+                found.push((index, item));
+            }
+        };
+        match among {
+            Some(some) => some.iter().for_each(|&index| look(index)),
+            None => all.for_each(&mut look),
+        }
+    }
+
+    /// Bounds on the deficit over items of [`Targets::enclose`].
+    pub fn deficit_bounds(&self, items: &[(u32, Item)]) -> Interval {
+        let found = scaled_sum(items.iter().map(|(_, item)| *item), self.solid_angle);
+        Interval { lo: found.lo, hi: found.hi.min(self.solid_angle * (1.0 + 1e-12)) }
+    }
+
+    fn bounds(&self, target: &Target, views: &Views, lens: &Lens, wide: &Frustum, narrow: Option<&Frustum>) -> Item {
+        let centre = target.centre - views.eye;
+        let side = side_of(&lens.frustum, centre, target.half, views);
+        if side == Seen::Never {
+            return Item::default();
+        }
+        if target.is_far {
+            self.far_bounds(target, centre, side, views, lens)
+        } else {
+            self.leaf_bounds(target, centre, side, views, lens, wide, narrow)
+        }
+    }
+
+    fn far_bounds(&self, target: &Target, centre: DVec3, side: Seen, views: &Views, lens: &Lens) -> Item {
+        let off = centre.abs();
+        let boxed = (off - views.half).max(DVec3::ZERO);
+        let nearest = boxed.length().max(centre.length() - views.radius);
+        let farthest = (off + views.half).length().min(centre.length() + views.radius);
+        let round = 16.0 * f64::EPSILON;
+        let hi = target.areas.dot(off + views.half) / (nearest * nearest * nearest) * (1.0 + round);
+        let lo = target.areas.dot(boxed) / (farthest * farthest * farthest) * (1.0 - round);
+        let share = match side {
+            Seen::Always => Interval { lo: 1.0, hi: 1.0 },
+            _ => share_inside(&lens.frustum, centre, target.half, views.half, views.radius, views.turn),
+        };
+        let (mut looked_at, mut looked_from) = (nearest, farthest);
+        if target.is_leaf {
+            let outside = off - target.half;
+            let here = outside.max(DVec3::ZERO).length();
+            looked_at = (outside - views.half).max(DVec3::ZERO).length().max(here - views.radius);
+            looked_from = (outside + views.half).max(DVec3::ZERO).length().min(here + views.radius);
+        }
+        let (mut most, mut least) = (0.0f64, 1.0f64);
+        let (mut above, mut below) = (DVec3::ZERO, DVec3::ZERO);
+        for part in &self.parts[target.parts.start as usize..target.parts.end as usize] {
+            let (d_hi, d_lo) = (self.deficit_of(part.error, looked_at), self.deficit_of(part.error, looked_from));
+            most = most.max(d_hi);
+            least = least.min(d_lo);
+            above += part.areas * d_hi;
+            below += part.areas * d_lo;
+        }
+        // Shares of the parts depend on the direction only: never beyond their extremes by axis. Where areas are sums in
+        // single precision, the parts may sum to a little more or less than the whole.
+        let (mut by_axis_hi, mut by_axis_lo) = (0.0f64, 1.0f64);
+        for axis in 0..3 {
+            if target.areas[axis] > 0.0 {
+                by_axis_hi = by_axis_hi.max(above[axis] / target.areas[axis]);
+                by_axis_lo = by_axis_lo.min(below[axis] / target.areas[axis]);
+            }
+        }
+        let (hi_share, lo_share) = (by_axis_hi.min(most * (1.0 + 1e-5)), by_axis_lo.max(least * (1.0 - 1e-5)));
+        Item {
+            weight: sane(share.lo * lo, share.hi * hi, f64::INFINITY),
+            share: sane(lo_share * (1.0 - 1e-9), hi_share * (1.0 + 1e-9), 1.0 + 1e-4),
+        }
+    }
+
+    #[expect(clippy::too_many_arguments, reason = "one box of views in its several forms")]
+    fn leaf_bounds(
+        &self,
+        target: &Target,
+        centre: DVec3,
+        side: Seen,
+        views: &Views,
+        lens: &Lens,
+        wide: &Frustum,
+        narrow: Option<&Frustum>,
+    ) -> Item {
+        let (half, frustum) = (target.half, &lens.frustum);
+        let outside = centre.abs() - half;
+        let here = outside.max(DVec3::ZERO).length();
+        let nearest = (outside - views.half).max(DVec3::ZERO).length().max(here - views.radius);
+        let farthest = (outside + views.half).max(DVec3::ZERO).length().min(here + views.radius);
+        let mut omega = solid_angle(centre, half, views.half, views.radius);
+        omega.hi = omega.hi.min(frustum.solid_angle);
+        omega.lo = omega.lo.min(frustum.solid_angle);
+        // Clipped polygons are good to this, the modulus of their triangles being at least 4cos³ of the corner's angle.
+        let clips = wide.corner_angle < CLIP_CORNER_MAX;
+        let cos = libm::cos(wide.corner_angle);
+        let slack = 1e-14 / (cos * cos * cos);
+        if side != Seen::Always {
+            let whole = omega;
+            omega.lo = 0.0;
+            if clips {
+                // What some eye sees of the box, the middle sees of the box grown by the eyes' spread.
+                let grown = of_box_in_frustum(centre, half + views.half, wide, 0b1111) + slack;
+                omega.hi = omega.hi.min(grown);
+                if views.radius < 0.5 * here {
+                    // Or: it sees it turned by at most asin(r/d), and larger by at most the factor of the faces.
+                    let unclipped = solid_angle(centre, half, DVec3::ZERO, 0.0);
+                    if unclipped.lo > 0.0 && views.radius > 0.0 {
+                        let factor = front_factor(centre, half, views);
+                        let turned = lens.widened(views.turn + libm::asin((views.radius / here).min(1.0)));
+                        if turned.corner_angle < CLIP_CORNER_MAX && factor.is_finite() {
+                            let cos = libm::cos(turned.corner_angle);
+                            let part = of_box_in_frustum(centre, half, &turned, 0b1111) + 1e-14 / (cos * cos * cos);
+                            omega.hi = omega.hi.min(part * factor);
+                        }
+                    }
+                }
+                if let Some(narrow) = narrow {
+                    let shrunk = half - views.half;
+                    if shrunk.min_element() >= 0.0 {
+                        let seen = of_box_in_frustum(centre, shrunk, narrow, 0b1111) - slack;
+                        omega.lo = seen.clamp(0.0, whole.hi);
+                    }
+                }
+            }
+        }
+        let error = self.parts[target.parts.start as usize].error;
+        Item {
+            weight: sane(target.importance * omega.lo, target.importance * omega.hi, f64::INFINITY),
+            share: sane(self.deficit_of(error, farthest) - 1e-15, self.deficit_of(error, nearest) + 1e-15, 1.0),
+        }
+    }
+}
+
+/// Distance to the nearest point of a box.
+fn nearest(centre: DVec3, half: DVec3) -> f64 {
+    (centre.abs() - half).max(DVec3::ZERO).length()
+}
+
+/// Greatest factor by which the integrand z/r³ of any front face grows between the middle and another eye; ∞ where a
+/// face may turn to the front.
+fn front_factor(centre: DVec3, half: DVec3, views: &Views) -> f64 {
+    let outside = centre.abs() - half;
+    let mut factor = 0.0f64;
+    for axis in 0..3 {
+        let z = outside[axis];
+        if z + views.half[axis] <= 0.0 {
+            continue;
+        }
+        if z <= views.half[axis] {
+            return f64::INFINITY;
+        }
+        let (i, j) = ((axis + 1) % 3, (axis + 2) % 3);
+        let distance = DVec3::new(z, outside[i].max(0.0), outside[j].max(0.0)).length();
+        let towards = 1.0 - views.radius / distance;
+        if towards <= 0.0 {
+            return f64::INFINITY;
+        }
+        factor = factor.max((1.0 + views.half[axis] / z) / (towards * towards * towards));
+    }
+    factor * (1.0 + 1e-12)
+}
+
+/// An interval within [0, most]; everything possible where rounding or overflow has left none.
+fn sane(lo: f64, hi: f64, most: f64) -> Interval {
+    let lo = if lo > 0.0 { lo.min(most) } else { 0.0 };
+    let hi = if hi.is_nan() { most } else { hi.clamp(0.0, most) };
+    Interval { lo: lo.min(hi), hi }
+}
+
+/// Whether the frusta of a set of views hold a box.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Seen {
+    /// Some plane of every view has it outside, the same for all.
+    Never,
+    Sometimes,
+    /// Every view has it inside.
+    Always,
+}
+
+/// A plane's distance to the box's middle changes by at most |middle|·2sin(turn/2) + radius between views.
+fn side_of(frustum: &Frustum, centre: DVec3, half: DVec3, views: &Views) -> Seen {
+    let chord = 2.0 * libm::sin(0.5 * views.turn);
+    let slack = chord * centre.length() + views.radius + 1e-12 * (centre.length() + views.radius);
+    let turned = chord * half.length();
+    let mut seen = Seen::Always;
+    for plane in &frustum.planes {
+        let distance = plane.dot(centre);
+        let extent = plane.abs().dot(half) + turned;
+        if distance + slack < -extent {
+            return Seen::Never;
+        }
+        if distance - slack < extent {
+            seen = Seen::Sometimes;
+        }
+    }
+    seen
+}
+
+/// Interval of the share of a far group inside the frustum, as the cut has it: a ramp over its extent across each plane.
+fn share_inside(frustum: &Frustum, centre: DVec3, half: DVec3, spread: DVec3, radius: f64, turn: f64) -> Interval {
+    let chord = 2.0 * libm::sin(0.5 * turn);
+    let turned = chord * half.length();
+    let round = if radius > 0.0 || turn > 0.0 { 1e-12 * (centre.length() + radius) } else { 0.0 };
+    let mut share = Interval { lo: 1.0, hi: 1.0 };
+    for plane in &frustum.planes {
+        let moved = plane.abs().dot(spread).min(radius);
+        let slack = chord * (centre.length() + radius) + moved + round;
+        let (distance, extent) = (plane.dot(centre), plane.abs().dot(half));
+        let (wide, thin) = (extent + turned, (extent - turned).max(0.0));
+        let ramp = |distance: f64, extent: f64| {
+            let share = (0.5 + 0.5 * distance / extent).clamp(0.0, 1.0);
+            // A group without extent is inside or not.
+            if extent > 0.0 { share } else { f64::from(u8::from(distance >= 0.0)) }
+        };
+        let (low, high) = (distance - slack, distance + slack);
+        share.hi *= ramp(high, if high > 0.0 { thin } else { wide });
+        share.lo *= ramp(low, if low >= 0.0 { wide } else { thin });
+    }
+    share
+}
