@@ -337,14 +337,12 @@ fn a_million_coincident_objects_take_bounded_work() {
     let ask = Ask { tree: &tree, objective: &objective, link, allowed: &|_| true };
     let mut search = Search::default();
     search.restart(&tree, &standing);
-    // Within a thousandth of the best, a path to one of them is enough.
-    let found = search.next(&ask, &mut standing, Stop { tolerance: 1e-3, ..EXACT }).expect("something gains");
-    assert!(found.gain > 0.0 && search.evaluations() < 2_000, "{}", search.evaluations());
-    search.give_back(&found);
-    // Exactly the first of all equals would take a million evaluations: cut short, what is missed is bounded.
+    // The first of all equals would take a million evaluations: cut short, what may be missed is bounded, and the bound is
+    // that of the box, not of its exact solid angle.
     let stop = Stop { evaluations_max: 10_000, ..EXACT };
-    let cut_short = search.next(&ask, &mut standing, stop).expect("something gains");
-    assert!(search.evaluations() < 10_500 && search.upper() <= cut_short.ratio * (1.0 + 1e-5));
+    let found = search.next(&ask, &mut standing, stop).expect("something gains");
+    assert!(found.gain > 0.0 && search.evaluations() < 10_500, "{}", search.evaluations());
+    assert!(found.ratio <= search.upper() && search.upper() < 1.5 * found.ratio);
 }
 
 #[test]

@@ -190,8 +190,8 @@ proptest! {
             let Some(axis) = neighbourhood.longest(&part, 0.05) else { break };
             part = part.split(axis)[tape.below(2)];
         }
-        let (mut live, mut items) = (Vec::new(), Vec::new());
-        targets.enclose(&neighbourhood.views(&part), None, &mut live, &mut items);
+        let mut items = Vec::new();
+        targets.enclose(&neighbourhood.views(&part), None, &mut items);
         let bounds = targets.deficit_bounds(&items);
         for _ in 0..8 {
             let mut point = ViewBox { mid: part.mid, half: [0.0; 5] };
@@ -203,8 +203,8 @@ proptest! {
             }
             let here = targets.at(&neighbourhood.sample(&point)).deficit;
             prop_assert!(bounds.lo - 1e-9 <= here && here <= bounds.hi + 1e-9, "{bounds:?} {here}");
-            let (mut live, mut items) = (Vec::new(), Vec::new());
-            targets.enclose(&neighbourhood.views(&point), None, &mut live, &mut items);
+            let mut items = Vec::new();
+            targets.enclose(&neighbourhood.views(&point), None, &mut items);
             let tight = targets.deficit_bounds(&items);
             prop_assert!(tight.lo - 1e-9 <= here && here <= tight.hi + 1e-9, "{tight:?} {here}");
         }

@@ -368,3 +368,49 @@ fn seconds_until(link: &LinkTrace, now: Time, bytes: u64) -> f64 {
     }
     rtt.secs() + Time(high).secs()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rule(list: &str, trust: impl Into<Trust>) -> (f64, AlphaRule) {
+        let spec = PolicySpec::parse_list(list, trust, None).expect("the options exist").remove(0);
+        (spec.settings.alpha, spec.settings.alpha_rule)
+    }
+
+    #[test]
+    fn alpha_is_a_number_or_a_rule() {
+        let solved = |at_least| AlphaRule::Solved { at_least };
+        for (list, expected) in [
+            ("foresight", (0.5, AlphaRule::Fixed)),
+            ("foresight:alpha=0.2", (0.2, AlphaRule::Fixed)),
+            ("foresight:alpha=0.2:watch=on", (0.2, AlphaRule::Watched)),
+            ("foresight:alpha=adapted", (0.5, AlphaRule::Adapted)),
+            ("foresight:alpha=solved", (0.5, solved(AT_LEAST))),
+            ("foresight:alpha=solved:at-least=0.3", (0.5, solved(0.3))),
+            ("foresight:at-least=0.3:alpha=solved", (0.5, solved(0.3))),
+            ("foresight-adapted:alpha=0.9", (0.9, AlphaRule::Adapted)),
+            ("foresight-solved:at-least=0.9", (0.5, solved(0.9))),
+        ] {
+            assert_eq!(rule(list, 0.5), expected, "{list}");
+        }
+        let adapted: Trust = "adapted".parse().expect("a word");
+        assert_eq!(rule("foresight", adapted).1, AlphaRule::Adapted);
+        assert_eq!(rule("foresight:alpha=0.3", adapted).1, AlphaRule::Fixed);
+        assert_eq!(rule("added-benefit", adapted), (1.0, AlphaRule::Fixed));
+        let given: Trust = "solved:at-least=0.4".parse().expect("a word with a quality");
+        assert_eq!((rule("foresight", given).1, rule("foresight-solved", given).1), (solved(0.4), solved(0.4)));
+        for wrong in ["", "1.1", "-0", "NaN", "solve", "solved:at-least=2", "solved:at-least="] {
+            let parsed = wrong.parse::<Trust>();
+            assert!(parsed.is_err() || wrong == "-0", "{wrong}: {parsed:?}");
+        }
+        for wrong in
+            ["foresight:at-least=2", "foresight:watch=yes", "foresight:alpha=adaptive", "3d-tiles-renderer:alpha=1"]
+        {
+            assert!(PolicySpec::parse_list(wrong, 0.5, None).is_err(), "{wrong}");
+        }
+        // What `all` stands for has the variants not.
+        let all = PolicySpec::parse_list("all", 0.5, None).expect("all");
+        assert!(all.iter().all(|spec| spec.alpha_rule().is_none()));
+    }
+}

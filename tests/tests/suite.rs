@@ -143,3 +143,25 @@ fn every_case_runs() {
         }
     }
 }
+
+#[test]
+fn the_alpha_sweep_sets_adapted_and_solved_against_the_best_fixed_one() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let arguments = ["suite", "--alpha-sweep", "--case", "starved-small", "--starts", "1", "--at-most", "10"];
+    let ended = program::sim(folder.path(), &[&arguments[..], &["--json"]].concat(), LIMIT);
+    assert_eq!(ended.code, Some(0), "{}", ended.stderr);
+    let document: Value = serde_json::from_str(&ended.stdout).expect("one JSON document");
+    assert_eq!((&document["schema_version"], &document["alphas"][10]), (&Value::from(1), &Value::from(1.0)));
+    let row = &document["rows"][0];
+    let deficits: Vec<f64> =
+        row["deficits"].as_array().expect("deficits").iter().map(|d| d.as_f64().expect("a deficit")).collect();
+    let least = deficits.iter().copied().fold(f64::INFINITY, f64::min);
+    assert_eq!(deficits.len(), 11);
+    for contender in ["adapted", "solved"] {
+        let (deficit, regret) = (row[contender]["deficit"].as_f64(), row[contender]["regret"].as_f64());
+        assert!((deficit.expect("a deficit") - least - regret.expect("a regret")).abs() < 1e-12, "{contender}");
+    }
+    assert!(row["solved"]["constraint"][0].is_string());
+    let text = program::sim(folder.path(), &arguments, LIMIT);
+    assert!(text.stdout.contains("adapted: regret ÷ spread ≤ 0.2 in"), "{}", text.stdout);
+}

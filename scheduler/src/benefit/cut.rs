@@ -222,7 +222,7 @@ pub fn projected_area(tree: &LodTree, node: NodeId, direction: DVec3) -> f64 {
 
 /// A frustum turned by up to `angle` and moved by up to `reach`: the sines and cosines that its test needs.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Widened {
+struct Widened {
     reach: f64,
     /// Planes are passed by directions at most this far behind them.
     plane: Angle,
@@ -246,12 +246,12 @@ impl Angle {
 }
 
 impl Widened {
-    pub(crate) fn new(frustum: &Frustum, angle: f64, reach: f64) -> Widened {
+    fn new(frustum: &Frustum, angle: f64, reach: f64) -> Widened {
         Widened { reach, plane: Angle::new(angle), corner: Angle::new(frustum.corner_angle + angle) }
     }
 
     /// As [`Frustum::side`]; never misses a box.
-    pub(crate) fn side(&self, frustum: &Frustum, centre: DVec3, half: DVec3) -> Side {
+    fn side(&self, frustum: &Frustum, centre: DVec3, half: DVec3) -> Side {
         const EVERY_PLANE: u8 = 0b1111;
         const HALF_PI: f64 = core::f64::consts::FRAC_PI_2;
         let distance = centre.length();

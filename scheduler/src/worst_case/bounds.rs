@@ -309,10 +309,10 @@ mod tests {
             if inside(&turned, 0.0) {
                 prop_assert!(inside(&lens.widened(turn), -1e-9));
             }
-            if let Some(narrow) = lens.narrowed(turn) {
-                if inside(&narrow, 0.0) {
-                    prop_assert!(inside(&turned, -1e-9));
-                }
+            if let Some(narrow) = lens.narrowed(turn)
+                && inside(&narrow, 0.0)
+            {
+                prop_assert!(inside(&turned, -1e-9));
             }
         }
 

@@ -5,7 +5,7 @@
 //! its views at once ([`Targets::enclose`]) and halved until the largest bound is within the tolerance of the largest
 //! deficit met, or the budget of evaluations is spent; the gap that is left is stated.
 
-use super::bounds::Item;
+use super::bounds::{Interval, Item};
 use super::neighbourhood::Neighbourhood;
 use super::target::{Deficit, Targets};
 use super::view_box::ViewBox;
@@ -14,10 +14,13 @@ use crate::estimate::{Certified, Estimate};
 use crate::view::View;
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
-use std::rc::Rc;
 
 /// Boxes kept at most; more and the search ends with the gap that it has.
-const BOXES_MAX: usize = 1 << 15;
+const BOXES_MAX: usize = 1 << 18;
+/// Targets with their bounds kept at most, over all boxes: 20 bytes each.
+const KEPT_MAX: usize = 10_000_000;
+/// Share of a box's width of bounds that is bounded anew in its halves.
+const RENEWED: f64 = 0.93;
 
 /// How hard to look.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,7 +36,7 @@ pub struct MinimumSettings {
 impl Default for MinimumSettings {
     /// At decision time: 10 % of Σw, or a few thousand evaluations.
     fn default() -> MinimumSettings {
-        MinimumSettings { tolerance: 0.1, evaluations_max: 4000, samples: 4 }
+        MinimumSettings { tolerance: 0.1, evaluations_max: 8000, samples: 4 }
     }
 }
 
@@ -108,7 +111,34 @@ struct Open {
     bound: f64,
     id: u32,
     part: ViewBox,
-    live: Rc<[u32]>,
+    seen: Box<[Packed]>,
+}
+
+/// A target with its bounds, in single precision, rounded outwards.
+#[derive(Clone, Copy, Debug)]
+struct Packed {
+    index: u32,
+    weight: [f32; 2],
+    share: [f32; 2],
+}
+
+impl Packed {
+    #[expect(clippy::cast_possible_truncation, reason = "rounded outwards")]
+    fn new(&(index, item): &(u32, Item)) -> Packed {
+        let outwards = |i: Interval| {
+            let (lo, hi) = (i.lo as f32, i.hi as f32);
+            [
+                if f64::from(lo) > i.lo { lo.next_down() } else { lo },
+                if f64::from(hi) < i.hi { hi.next_up() } else { hi },
+            ]
+        };
+        Packed { index, weight: outwards(item.weight), share: outwards(item.share) }
+    }
+
+    fn item(&self) -> Item {
+        let wide = |i: [f32; 2]| Interval { lo: f64::from(i[0]), hi: f64::from(i[1]) };
+        Item { weight: wide(self.weight), share: wide(self.share) }
+    }
 }
 
 impl PartialEq for Open {
@@ -138,66 +168,167 @@ pub fn certified(
     settings: &MinimumSettings,
 ) -> Result<Minimum, WorstCaseError> {
     settings.check()?;
-    let budget = u64::from(settings.evaluations_max);
-    let omega = targets.solid_angle();
-    let radians_per_metre = targets.radians_per_metre();
-    let mut evaluations = targets.len() as u64;
-    let (mut worst, mut largest, mut weight) = (*neighbourhood.view(), 0.0f64, 0.0f64);
-    let mut meet = |view: View, met: Deficit, largest: &mut f64, weight: &mut f64| {
-        *weight = weight.max(met.weight);
-        if met.deficit > *largest {
-            *largest = met.deficit;
-            worst = view;
+    Search::new(targets, neighbourhood, settings).run()
+}
+
+struct Search<'a> {
+    targets: &'a Targets,
+    neighbourhood: &'a Neighbourhood,
+    settings: &'a MinimumSettings,
+    radians_per_metre: f64,
+    evaluations: u64,
+    /// Of these, for single views.
+    sampled: u64,
+    worst: View,
+    largest: f64,
+    weight: f64,
+    heap: BinaryHeap<Open>,
+    /// Targets kept with the boxes of the heap.
+    kept: usize,
+    boxes: u32,
+}
+
+impl<'a> Search<'a> {
+    fn new(targets: &'a Targets, neighbourhood: &'a Neighbourhood, settings: &'a MinimumSettings) -> Search<'a> {
+        Search {
+            targets,
+            neighbourhood,
+            settings,
+            radians_per_metre: targets.radians_per_metre(),
+            evaluations: targets.len() as u64,
+            sampled: 0,
+            worst: *neighbourhood.view(),
+            largest: 0.0,
+            weight: 0.0,
+            heap: BinaryHeap::new(),
+            kept: 0,
+            boxes: 0,
         }
-    };
-    // The present view is always looked at; more samples only while they leave most of the budget.
-    let samples = settings.samples.min((budget / 4 / (targets.len() as u64).max(1)).max(1) as usize);
-    for view in neighbourhood.covering(samples, radians_per_metre).views {
-        evaluations += targets.len() as u64;
-        meet(view, targets.at(&view), &mut largest, &mut weight);
     }
-    let (mut live, mut items): (Vec<u32>, Vec<Item>) = (Vec::new(), Vec::new());
-    let mut heap = BinaryHeap::new();
-    // Greatest bound of the boxes that are not looked into any more.
-    let mut settled = 0.0f64;
-    let mut boxes = 1u32;
-    let whole = neighbourhood.whole();
-    targets.enclose(&neighbourhood.views(&whole), None, &mut live, &mut items);
-    evaluations += targets.len() as u64;
-    heap.push(Open { bound: targets.deficit_bounds(&items).hi, id: 0, part: whole, live: Rc::from(&live[..]) });
-    while let Some(open) = heap.pop() {
-        let enough = largest + settings.tolerance * weight;
-        let spent = evaluations + 2 * open.live.len() as u64 > budget || heap.len() >= BOXES_MAX;
-        let axis = neighbourhood.longest(&open.part, radians_per_metre).filter(|_| !spent && open.bound > enough);
-        let Some(axis) = axis else {
-            settled = settled.max(open.bound);
+
+    fn meet(&mut self, view: View, met: Deficit) {
+        self.weight = self.weight.max(met.weight);
+        if met.deficit > self.largest {
+            (self.largest, self.worst) = (met.deficit, view);
+        }
+    }
+
+    fn spent(&self) -> bool {
+        self.evaluations >= u64::from(self.settings.evaluations_max)
+            || self.heap.len() >= BOXES_MAX
+            || self.kept >= KEPT_MAX
+    }
+
+    fn run(mut self) -> Result<Minimum, WorstCaseError> {
+        let count = self.targets.len() as u64;
+        // The present view is always looked at; more samples only while they leave most of the budget.
+        let affordable = u64::from(self.settings.evaluations_max) / 8 / count.max(1);
+        let samples = self.settings.samples.min(affordable.max(1) as usize);
+        for view in self.neighbourhood.covering(samples, self.radians_per_metre).views {
+            self.evaluations += count;
+            self.sampled += count;
+            self.meet(view, self.targets.at(&view));
+        }
+        let mut found = Vec::new();
+        let whole = self.neighbourhood.whole();
+        self.targets.enclose(&self.neighbourhood.views(&whole), None, &mut found);
+        self.evaluations += count;
+        self.push(whole, self.targets.deficit_bounds(&found).hi, &found);
+        // Greatest bound of the boxes that are not looked into any more.
+        let mut settled = 0.0f64;
+        let (mut fresh, mut again) = (Vec::new(), Vec::new());
+        while let Some(open) = self.heap.pop() {
+            self.kept -= open.seen.len();
+            let (spent, enough) = (self.spent(), self.largest + self.settings.tolerance * self.weight);
             if spent || open.bound <= enough {
                 // Nothing that is left has a greater bound.
+                settled = settled.max(open.bound);
                 break;
             }
-            continue;
+            let Some(axis) = self.neighbourhood.longest(&open.part, self.radians_per_metre) else {
+                settled = settled.max(open.bound);
+                continue;
+            };
+            self.widest(&open.seen, &mut again);
+            for part in open.part.split(axis) {
+                if self.neighbourhood.is_outside(&part) {
+                    continue;
+                }
+                self.targets.enclose(&self.neighbourhood.views(&part), Some(&again), &mut fresh);
+                self.evaluations += again.len() as u64;
+                inherit(&open.seen, &again, &fresh, &mut found);
+                let bound = self.targets.deficit_bounds(&found).hi.min(open.bound);
+                if bound <= self.largest {
+                    continue;
+                }
+                if 4 * self.sampled <= self.evaluations {
+                    let view = self.neighbourhood.sample(&part);
+                    self.evaluations += found.len() as u64;
+                    self.sampled += found.len() as u64;
+                    self.meet(view, self.targets.at_among(&view, &found));
+                }
+                self.push(part, bound, &found);
+            }
+        }
+        // What is computed at one view is good to 10⁻⁹; where there is nothing, nothing is missing.
+        let omega = if count > 0 { self.targets.solid_angle() } else { 0.0 };
+        let lowest = (self.largest - 1e-9 * (self.largest + omega)).max(0.0);
+        let highest = settled.max(self.heap.peek().map_or(0.0, |open| open.bound)).max(self.largest);
+        let evaluations = self.evaluations.try_into().unwrap_or(u32::MAX);
+        let worth = Certified { value: -self.largest, lower: -highest - 1e-12 * omega, upper: -lowest, evaluations };
+        Ok(Minimum { worth, weight: self.weight, worst: self.worst, boxes: self.boxes })
+    }
+
+    fn push(&mut self, part: ViewBox, bound: f64, found: &[(u32, Item)]) {
+        self.boxes = self.boxes.saturating_add(1);
+        self.kept += found.len();
+        let seen = found.iter().map(Packed::new).collect();
+        self.heap.push(Open { bound, id: self.boxes, part, seen });
+    }
+
+    /// The targets, in order, that are to be bounded anew for the halves of a box: those with the widest bounds, which
+    /// make up [`RENEWED`] of all width; the rest keep the bounds of the whole box.
+    fn widest(&self, seen: &[Packed], again: &mut Vec<u32>) {
+        let weight: f64 = seen.iter().map(|p| f64::from(p.weight[0])).sum();
+        let omega = self.targets.solid_angle();
+        // Where weights are scaled to the frustum, what is like the mean matters least.
+        let mean = if weight > 0.5 * omega { self.largest / omega } else { 0.0 };
+        let spread = |item: &Item| {
+            let off = (item.share.hi - mean).abs().max((item.share.lo - mean).abs());
+            let spread = item.weight.width() * off + item.weight.hi * item.share.width();
+            if spread.is_nan() { f64::MAX } else { spread }
         };
-        for part in open.part.split(axis) {
-            if neighbourhood.is_outside(&part) {
-                continue;
+        let mut order: Vec<(f64, u32)> = seen.iter().map(|p| (spread(&p.item()), p.index)).collect();
+        order.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        let all: f64 = order.iter().map(|o| o.0).sum();
+        let mut sum = 0.0;
+        again.clear();
+        for (spread, index) in order {
+            if sum > RENEWED * all {
+                break;
             }
-            boxes = boxes.saturating_add(1);
-            targets.enclose(&neighbourhood.views(&part), Some(&open.live), &mut live, &mut items);
-            evaluations += open.live.len() as u64;
-            let bound = targets.deficit_bounds(&items).hi.min(open.bound);
-            if bound <= largest {
-                continue;
-            }
-            let view = neighbourhood.sample(&part);
-            evaluations += live.len() as u64;
-            meet(view, targets.at_among(&view, &live), &mut largest, &mut weight);
-            heap.push(Open { bound, id: boxes, part, live: Rc::from(&live[..]) });
+            sum += spread;
+            again.push(index);
+        }
+        again.sort_unstable();
+    }
+}
+
+/// What is seen from half a box: bounds found anew for the targets of `again` (missing where nothing is seen any more), those
+/// of the whole box for the rest. All in order of the targets.
+fn inherit(seen: &[Packed], again: &[u32], fresh: &[(u32, Item)], found: &mut Vec<(u32, Item)>) {
+    found.clear();
+    let (mut again, mut fresh) = (again.iter().peekable(), fresh.iter().peekable());
+    for packed in seen {
+        let (index, item) = (packed.index, packed.item());
+        if again.next_if(|&&a| a == index).is_none() {
+            found.push((index, item));
+        } else if let Some(&(_, renewed)) = fresh.next_if(|f| f.0 == index) {
+            // Both hold.
+            let both =
+                |a: Interval, b: Interval| Interval { lo: a.lo.max(b.lo), hi: a.hi.min(b.hi).max(a.lo.max(b.lo)) };
+            let item = Item { weight: both(item.weight, renewed.weight), share: both(item.share, renewed.share) };
+            found.push((index, item));
         }
     }
-    // What is computed at one view is good to 10⁻⁹.
-    let lowest = (largest - 1e-9 * (largest + omega)).max(0.0);
-    let highest = settled.max(heap.peek().map_or(0.0, |open| open.bound)).max(largest);
-    let evaluations = evaluations.try_into().unwrap_or(u32::MAX);
-    let worth = Certified { value: -largest, lower: -highest - 1e-12 * omega, upper: -lowest, evaluations };
-    Ok(Minimum { worth, weight, worst, boxes })
 }

@@ -9,7 +9,8 @@
 //!
 //! X, Y, Z are the camera's axes, U(a) turns by a about the world's up. Q = U(a)·R(side, b) with the horizontal axis `side`
 //! across the line of sight to t, |a| and |b| at most min(ϑε/distance, ωε). Two rotations exp(a), exp(b) differ by at most ‖a − b‖ (Hartley
-//! and Kahl 2009, lemma 4), two products by at most the sum of the differences: so boxes of coordinates become cones.
+//! and Kahl 2009, lemma 4), and products of rotations about two axes by an
+//! angle known in closed form: so boxes of coordinates become cones.
 
 use super::view_box::{DIMENSIONS, ViewBox, Views};
 use super::{COORDINATE_MAX, WorstCaseError, within};
@@ -382,11 +383,11 @@ impl Neighbourhood {
                 views.half = east.abs() * h[0] + up.abs() * h[1] + up.cross(*east).abs() * h[2];
                 let flat = libm::hypot(h[0], h[2]).min(self.reach + libm::hypot(part.mid[0], part.mid[2]));
                 views.radius = libm::hypot(flat, h[1].min(*step));
-                views.turn = h[3] + h[4];
+                views.turn = turn_of((*up, h[3]), (self.view.orientation * DVec3::X, h[4]));
             }
-            Shape::Orbiting { distance, .. } => {
+            Shape::Orbiting { up, side, distance, .. } => {
                 // A chord of angle x is at most x long on the unit sphere, and at most 2.
-                let turn = h[0] + h[1];
+                let turn = turn_of((*up, h[0]), (*side, h[1]));
                 views.radius = h[2] + (distance + part.mid[2]) * turn.min(2.0);
                 views.half = DVec3::splat(views.radius);
                 views.turn = turn;
@@ -579,6 +580,16 @@ impl Neighbourhood {
         }
         parts.into_iter().map(|part| self.views(&part))
     }
+}
+
+/// Greatest angle of a rotation by at most so much about one axis, then by at most so much about another: half of it has the
+/// cosine cos(a/2)·cos(b/2) − |cos| of the axes' angle × sin(a/2)·sin(b/2).
+fn turn_of(first: (DVec3, f64), second: (DVec3, f64)) -> f64 {
+    let (a, b) = (0.5 * first.1, 0.5 * second.1);
+    let across = first.0.dot(second.0).abs().min(1.0);
+    let cos = libm::cos(a) * libm::cos(b) - across * libm::sin(a) * libm::sin(b);
+    // Where the sum is small the cosine has lost its digits; the sum of the angles is a bound too.
+    if a + b < 1e-4 || a + b >= FRAC_PI_2 { 2.0 * (a + b) } else { 2.0 * libm::acos(cos.clamp(-1.0, 1.0)) + 1e-11 }
 }
 
 /// The coordinate axis that `up` is, if it is one.

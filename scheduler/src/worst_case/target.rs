@@ -126,7 +126,7 @@ impl Targets {
             }
             let (areas, importance) = (tree.face_areas(node), tree.importance(node));
             // What weighs nothing from anywhere is left out.
-            if !(importance > 0.0 || !tree.is_leaf(node)) || (is_far && areas == DVec3::ZERO) {
+            if importance <= 0.0 && tree.is_leaf(node) || is_far && areas == DVec3::ZERO {
                 made.parts.truncate(first as usize);
                 continue;
             }
@@ -167,8 +167,8 @@ impl Targets {
     }
 
     /// As [`Targets::at`] where only `among` can be seen.
-    pub fn at_among(&self, view: &View, among: &[u32]) -> Deficit {
-        self.sum(view, among.iter().map(|&index| &self.targets[index as usize]))
+    pub fn at_among(&self, view: &View, among: &[(u32, Item)]) -> Deficit {
+        self.sum(view, among.iter().map(|&(index, _)| &self.targets[index as usize]))
     }
 
     fn sum<'a>(&self, view: &View, targets: impl Iterator<Item = &'a Target>) -> Deficit {
@@ -218,20 +218,18 @@ impl Targets {
         (weight, weight * self.deficit_of(error, nearest(centre, target.half)))
     }
 
-    /// Weight and deficit of every target that some of the views may see, into `items`, its places into `live`. Only
-    /// the targets named by `among` are looked at, or all.
-    pub fn enclose(&self, views: &Views, among: Option<&[u32]>, live: &mut Vec<u32>, items: &mut Vec<Item>) {
+    /// Weight and deficit of every target that some of the views may see, into `found`. Only the targets named by `among`
+    /// are looked at, or all.
+    pub fn enclose(&self, views: &Views, among: Option<&[u32]>, found: &mut Vec<(u32, Item)>) {
         let lens = Lens::new(&View { position: views.eye, orientation: views.orientation, ..self.view });
         let wide = lens.widened(views.turn);
         let narrow = lens.narrowed(views.turn);
-        live.clear();
-        items.clear();
+        found.clear();
         let all = 0..self.targets.len() as u32;
         let mut look = |index: u32| {
             let item = self.bounds(&self.targets[index as usize], views, &lens, &wide, narrow.as_ref());
             if item.weight.hi > 0.0 {
-                live.push(index);
-                items.push(item);
+                found.push((index, item));
             }
         };
         match among {
@@ -241,8 +239,8 @@ impl Targets {
     }
 
     /// Bounds on the deficit over items of [`Targets::enclose`].
-    pub fn deficit_bounds(&self, items: &[Item]) -> Interval {
-        let found = scaled_sum(items.iter().copied(), self.solid_angle);
+    pub fn deficit_bounds(&self, items: &[(u32, Item)]) -> Interval {
+        let found = scaled_sum(items.iter().map(|(_, item)| *item), self.solid_angle);
         Interval { lo: found.lo, hi: found.hi.min(self.solid_angle * (1.0 + 1e-12)) }
     }
 

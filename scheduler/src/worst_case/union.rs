@@ -16,11 +16,11 @@ use super::neighbourhood::Neighbourhood;
 use super::{COORDINATE_MAX, WorstCaseError, within};
 use crate::benefit::accuracy::{accuracy, sharpness};
 use crate::benefit::coverage::{Coverage, Refinement};
-use crate::benefit::cut::{Region, Widened};
+use crate::benefit::cut::{CutSettings, Eye, Region};
 use crate::benefit::frustum::{Frustum, Side};
 use crate::estimate::Certified;
 use crate::lod_tree::{LodTree, NodeId, RepId};
-use core::f64::consts::FRAC_PI_2;
+use core::f64::consts::{FRAC_PI_2, PI};
 use glam::DVec3;
 
 /// How hard to look.
@@ -28,7 +28,7 @@ use glam::DVec3;
 pub struct UnionSettings {
     /// Gap asked for, relative to the value, or to 10⁻⁴ of the whole scaled weight if that is more.
     pub tolerance: f64,
-    /// Nodes looked at, at most.
+    /// Nodes looked at, at most; checked between groups.
     pub evaluations_max: u32,
     /// Distances are at least this, metres, and at least the stand-off.
     pub near: f64,
@@ -120,20 +120,22 @@ struct Scene<'a> {
     tree: &'a LodTree,
     neighbourhood: &'a Neighbourhood,
     frustum: Frustum,
-    angle: f64,
+    /// Tells whether the region meets a box.
+    eye: Eye,
     reach: f64,
     floor: f64,
 }
 
 impl<'a> Scene<'a> {
     fn new(tree: &'a LodTree, neighbourhood: &'a Neighbourhood, settings: &UnionSettings) -> Scene<'a> {
-        let frustum = Frustum::new(neighbourhood.view());
-        let (angle, reach) = match neighbourhood.region() {
-            Region::Reachable { angle, reach, .. } => (angle, reach),
-            Region::Frustum => (0.0, 0.0),
+        let region = neighbourhood.region();
+        let reach = match region {
+            Region::Reachable { reach, .. } => reach,
+            Region::Frustum => 0.0,
         };
+        let eye = Eye::new(neighbourhood.view(), region, &CutSettings::default());
         let floor = settings.near.max(neighbourhood.stand_off());
-        Scene { tree, neighbourhood, frustum, angle, reach, floor }
+        Scene { tree, neighbourhood, frustum: Frustum::new(neighbourhood.view()), eye, reach, floor }
     }
 
     fn accuracy_at(&self, error: f64, distance: f64) -> f64 {
@@ -180,7 +182,7 @@ impl<'a> Scene<'a> {
         // It was rendered looking along (x, y, z): seen best from the other side.
         let towards_eye = -DVec3::new(axis(code / 9), axis(code / 3 % 3), axis(code % 3)).normalize_or_zero();
         let distance = seen.centre.length();
-        let apart = |radius: f64| if radius < distance { libm::asin(radius / distance) } else { core::f64::consts::PI };
+        let apart = |radius: f64| if radius < distance { libm::asin(radius / distance) } else { PI };
         let angle =
             if distance > 0.0 { libm::acos((-seen.centre / distance).dot(towards_eye).clamp(-1.0, 1.0)) } else { 0.0 };
         let most = angle + apart(self.reach + seen.radius);
@@ -194,7 +196,7 @@ impl<'a> Scene<'a> {
         let (centre, half) = (tree.centre(node) - self.frustum.eye, tree.half(node));
         let side = match was_inside {
             true => Side::Inside,
-            false => Widened::new(&self.frustum, self.angle, self.reach).side(&self.frustum, centre, half),
+            false => self.eye.side(centre, half),
         };
         if side == Side::Outside {
             return None;
@@ -211,7 +213,10 @@ impl<'a> Scene<'a> {
             let importance = tree.importance(node);
             Interval { lo: importance * omega.lo, hi: importance * omega.hi }
         } else {
-            group_solid_angle(centre, half, tree.face_areas(node))
+            let omega = group_solid_angle(centre, half, tree.face_areas(node));
+            // From within, at most 4π for each of them; finite, so that nothing times it is nothing.
+            let count = f64::from(tree.subtree_end(node).0 - node.0);
+            Interval { lo: omega.lo, hi: omega.hi.min(4.0 * PI * f64::from(f32::MAX) * count) }
         };
         if !is_inside && !is_leaf {
             weight.lo = 0.0;
@@ -248,7 +253,7 @@ impl<'a> Scene<'a> {
             let spread = |o: &Open| {
                 let off = (o.item.share.hi - mean).abs().max((o.item.share.lo - mean).abs());
                 let spread = o.item.weight.width() * off + o.item.weight.hi * o.item.share.width();
-                if spread.is_nan() { 0.0 } else { spread.min(4.0 * omega) }
+                spread.min(4.0 * omega)
             };
             let mut groups: Vec<(f64, usize)> = open
                 .iter()
@@ -273,6 +278,9 @@ impl<'a> Scene<'a> {
             let mut chosen: Vec<usize> = count.map(|g| g.1).collect();
             chosen.sort_unstable();
             for &index in chosen.iter().rev() {
+                if evaluations >= settings.evaluations_max {
+                    break;
+                }
                 let parent = open.swap_remove(index);
                 for child in tree.children(parent.node) {
                     evaluations = evaluations.saturating_add(1);

@@ -1,10 +1,10 @@
 //! Choosing the best candidate: by evaluating all, by one pass over sampled patches, by branch and bound; and what each
 //! choice is worth leaf by leaf under a fine quadrature.
 
+use super::gains;
 use super::outcome::ChoiceRow;
 use super::situation::Situation;
 use crate::stopwatch::Stopwatch;
-use foresight_scheduler::benefit::accuracy::accuracy;
 use foresight_scheduler::benefit::cut::CutSettings;
 use foresight_scheduler::lod_tree::{LodTree, RepId};
 use foresight_scheduler::policy::foresight::{ChoiceMethod, ForesightSettings};
@@ -227,17 +227,7 @@ fn sampled_winner(
     let mut horizon = Horizon::default();
     let worst = (&situation.view, situation.region);
     horizon.make(tree, plan, &situation.middles, &situation.bounds, worst, &made);
-    let mut gains = vec![0.0; tree.representations()];
-    let earliest = instance.link.arrival_of(0);
-    horizon.for_each(tree, plan, earliest, |patch, share, chain, _| {
-        let shown = accuracy(f64::from(chain.best), patch.sharpness);
-        for rep in tree.ancestors(patch.node).flat_map(|node| tree.own(node)) {
-            let error = tree.error(rep);
-            if error < f64::from(chain.best) && !plan.contains(rep) {
-                gains[rep.index()] += share * patch.weight * (accuracy(error, patch.sharpness) - shown);
-            }
-        }
-    });
+    let gains = gains::of_each(tree, &horizon, plan, instance.link.arrival_of(0));
     // Ranked by these bounds, evaluated with their own arrival until none can be better.
     let ratio_of = |members: &[RepId], gain: f64| gain / instance.link.cost(tree, members).max(f64::MIN_POSITIVE);
     let mut order: Vec<(f64, RepId)> = (0..gains.len() as u32)

@@ -1,12 +1,12 @@
 //! What grouping costs: gains by patches of an opening angle θ against gains leaf by leaf, under the same samples in time.
 
+use super::gains;
 use super::outcome::{ErrorRow, Kind};
 use super::record::Record;
 use super::situation::Situation;
 use super::statistics::relative_error;
 use crate::random::SplitMix64;
 use crate::stopwatch::Stopwatch;
-use foresight_scheduler::benefit::accuracy::accuracy;
 use foresight_scheduler::benefit::cut::CutSettings;
 use foresight_scheduler::lod_tree::{LodTree, NodeId, RepId};
 use foresight_scheduler::policy::foresight::ForesightSettings;
@@ -49,7 +49,7 @@ pub fn measure(
     for (i, situation) in situations.iter().enumerate() {
         let mut random = SplitMix64::new(seed ^ (i as u64) << 32);
         let exact = Sampled::new(tree, situation, settings, 0.0);
-        let all = exact.gain_of_each(tree, situation);
+        let all = gains::of_each(tree, &exact.horizon, &situation.planned, exact.arrival_s);
         let best = all.iter().copied().fold(0.0, f64::max);
         let reps = draw(tree, situation, &all, count, &mut random);
         let truth: Vec<f64> = exact.gains(tree, situation, &reps);
@@ -109,21 +109,6 @@ impl Sampled {
         let worst = (&situation.view, situation.region);
         sampled.horizon.make(tree, &situation.planned, &situation.middles, &situation.bounds, worst, &horizon);
         sampled
-    }
-
-    /// What each representation by itself would gain.
-    fn gain_of_each(&self, tree: &LodTree, situation: &Situation) -> Vec<f64> {
-        let mut gains = vec![0.0; tree.representations()];
-        self.horizon.for_each(tree, &situation.planned, self.arrival_s, |patch, share, chain, _| {
-            let shown = accuracy(f64::from(chain.best), patch.sharpness);
-            for rep in tree.ancestors(patch.node).flat_map(|node| tree.own(node)) {
-                let error = tree.error(rep);
-                if error < f64::from(chain.best) {
-                    gains[rep.index()] += share * patch.weight * (accuracy(error, patch.sharpness) - shown);
-                }
-            }
-        });
-        gains
     }
 
     fn gains(&self, tree: &LodTree, situation: &Situation, reps: &[RepId]) -> Vec<f64> {

@@ -5,6 +5,7 @@
 
 pub mod choice;
 pub mod findings;
+mod gains;
 pub mod grouping;
 pub mod hard;
 pub mod integral;
@@ -45,3 +46,6 @@ impl Part {
         ("upper-bound", Part::UpperBound),
     ];
 }
+
+#[cfg(test)]
+mod tests;

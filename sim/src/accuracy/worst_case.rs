@@ -1,5 +1,6 @@
 //! The worst case, both readings: every method and setting against the sum over leaves, or the largest deficit known.
 
+use super::gains;
 use super::outcome::{ErrorRow, Kind};
 use super::record::{Answer, Record};
 use super::situation::Situation;
@@ -31,7 +32,7 @@ const CHECKED: usize = 400;
 /// Representations of a situation whose gains are measured.
 const GAINS: usize = 8;
 /// Evaluations that the offline search may take where not every candidate is asked for.
-const OFFLINE_SHORT: u32 = 2_000_000;
+const OFFLINE_SHORT: u32 = 5_000_000;
 /// Candidates from which on the full offline search runs.
 const FULL_FROM: u64 = 100_000;
 /// Rounding of the references, share of Σw.
@@ -135,7 +136,8 @@ impl WorstCases {
             reps.iter().map(|&rep| horizon.marginal(tree, &mut planned, rep, 0.0)).collect()
         };
         let truths = gains_by(&leaf_by_leaf);
-        let best = truths.iter().copied().fold(0.0, f64::max);
+        let all = gains::of_each(tree, &leaf_by_leaf, &situation.planned, 0.0);
+        let best = all.into_iter().fold(0.0, f64::max);
         let (_, weight) = union_by_cut(tree, situation, settings, 0.0, &mut Cut::default());
         let judge = |(answer, &truth): (Answer, &f64)| Judged::of(&answer, truth, truth, best, ROUNDING * weight);
         for (order, &angle) in ANGLES.iter().enumerate() {

@@ -7,9 +7,12 @@ use super::standing::{IdMap, Standing};
 use crate::lod_tree::{LodTree, NodeId, RepId};
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
+use std::collections::binary_heap::PeekMut;
 
 /// Children that one opening looks at; the rest waits under the same bound.
 const CHILDREN_AT_ONCE: usize = 32;
+/// Closures evaluated when a search is cut short.
+const LAST_LOOKS: usize = 8;
 /// Gains computed before and after a change elsewhere may differ by the rounding of areas to f32.
 const REFRESH_WITHIN: f64 = 1.0 + 1e-6;
 
@@ -83,27 +86,22 @@ pub struct Ranked {
     seen: usize,
 }
 
+/// Everything strictly beneath a node, from the child `from` on.
 #[derive(Clone, Copy, Debug)]
-enum What {
-    /// Everything strictly beneath a node, from this child on.
-    Beneath { node: NodeId, from: NodeId, shown: f32, mask: Mask },
-    /// A closure that has not been evaluated.
-    Closure(RepId),
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Bound {
+struct Below {
     ratio: f64,
-    what: What,
+    node: NodeId,
+    from: NodeId,
+    /// Error with which all of it is shown, at most.
+    shown: f32,
+    mask: Mask,
 }
 
-impl Bound {
-    fn order(&self) -> (u32, u32) {
-        match self.what {
-            What::Beneath { node, from, .. } => (node.0, from.0),
-            What::Closure(rep) => (u32::MAX, rep.0),
-        }
-    }
+/// A closure that has not been evaluated.
+#[derive(Clone, Copy, Debug)]
+struct Bounded {
+    ratio: f64,
+    rep: RepId,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -137,13 +135,15 @@ macro_rules! ordered {
     };
 }
 
-ordered!(Bound, Bound::order);
+ordered!(Below, |below: &Below| (below.node, below.from));
+ordered!(Bounded, |bounded: &Bounded| bounded.rep);
 ordered!(Exact, |exact: &Exact| exact.rep);
 
 /// The candidates of one sampling of the objective.
 #[derive(Clone, Debug, Default)]
 pub struct Search {
-    bounds: BinaryHeap<Bound>,
+    below: BinaryHeap<Below>,
+    bounded: BinaryHeap<Bounded>,
     exact: BinaryHeap<Exact>,
     /// Nodes at which the plan has changed since.
     changes: Vec<NodeId>,
@@ -174,7 +174,8 @@ pub fn closure(tree: &LodTree, standing: &Standing, rep: RepId) -> Vec<RepId> {
 impl Search {
     /// Starts over: everything is a candidate.
     pub fn restart(&mut self, tree: &LodTree, standing: &Standing) {
-        self.bounds.clear();
+        self.below.clear();
+        self.bounded.clear();
         self.exact.clear();
         self.changes.clear();
         self.evaluated.clear();
@@ -182,7 +183,7 @@ impl Search {
         self.waiting.clear();
         let root = tree.root();
         for rep in tree.own(root).filter(|&r| !standing.plan().contains(r)) {
-            self.bounds.push(Bound { ratio: f64::INFINITY, what: What::Closure(rep) });
+            self.bounded.push(Bounded { ratio: f64::INFINITY, rep });
         }
         self.push_beneath(f64::INFINITY, root, standing.plan().best_at(root), ALL);
     }
@@ -199,13 +200,23 @@ impl Search {
 
     /// No candidate's ratio exceeds this.
     pub fn upper(&self) -> f64 {
-        let bound = self.bounds.peek().map_or(0.0, |b| b.ratio);
-        bound.max(self.exact.peek().map_or(0.0, |e| e.ratio * REFRESH_WITHIN))
+        self.bound().max(self.exact.peek().map_or(0.0, |e| e.ratio * REFRESH_WITHIN))
+    }
+
+    /// The largest ratio that something not evaluated could have.
+    fn bound(&self) -> f64 {
+        let below = self.below.peek().map_or(0.0, |b| b.ratio);
+        below.max(self.bounded.peek().map_or(0.0, |b| b.ratio))
+    }
+
+    fn pop_bounded(&mut self, wanted: impl Fn(f64) -> bool) -> Option<Bounded> {
+        let first = self.bounded.peek_mut()?;
+        wanted(first.ratio).then(|| PeekMut::pop(first))
     }
 
     fn push_beneath(&mut self, ratio: f64, node: NodeId, shown: f32, mask: Mask) {
         let from = NodeId(node.0 + 1);
-        self.bounds.push(Bound { ratio, what: What::Beneath { node, from, shown, mask } });
+        self.below.push(Below { ratio, node, from, shown, mask });
     }
 
     /// `rep` has been planned.
@@ -213,7 +224,7 @@ impl Search {
         self.changes.push(ask.tree.node_of(rep));
         // What needed it has become cheaper.
         for (rep, ratio) in self.waiting.remove(&rep.0).unwrap_or_default() {
-            self.bounds.push(Bound { ratio, what: What::Closure(rep) });
+            self.bounded.push(Bounded { ratio, rep });
         }
     }
 
@@ -263,7 +274,7 @@ impl Search {
         for (i, &rep) in self.reps.iter().enumerate() {
             let ratio = self.out[i] * tree.wire_bytes(rep) as f64 / link.cost(tree, &[rep]);
             if ratio > 0.0 {
-                self.bounds.push(Bound { ratio, what: What::Closure(rep) });
+                self.bounded.push(Bounded { ratio, rep });
             }
         }
         if beneath {
@@ -289,16 +300,8 @@ impl Search {
                 .any(|node| changed.iter().any(|&other| tree.is_beneath(node, other) || tree.is_beneath(other, node)))
     }
 
-    fn open(
-        &mut self,
-        ask: &Ask,
-        standing: &Standing,
-        entry: Bound,
-        node: NodeId,
-        from: NodeId,
-        shown: f32,
-        mask: Mask,
-    ) {
+    fn open(&mut self, ask: &Ask, standing: &Standing, below: Below) {
+        let Below { node, from, shown, mask, .. } = below;
         let tree = ask.tree;
         if from.0 == node.0 + 1 {
             if let Some(&seen) = self.opened.get(&node.0) {
@@ -321,7 +324,7 @@ impl Search {
             child = tree.subtree_end(child);
         }
         if child < end {
-            self.bounds.push(Bound { ratio: entry.ratio, what: What::Beneath { node, from: child, shown, mask } });
+            self.below.push(Below { from: child, ..below });
         }
     }
 
@@ -399,7 +402,8 @@ impl Search {
             if first.is_some_and(|f| top.ratio * REFRESH_WITHIN < f.ratio) {
                 break;
             }
-            if standing.plan().contains(top.rep) {
+            // What was entered anew may be there twice.
+            if standing.plan().contains(top.rep) || first.is_some_and(|f| f.rep == top.rep) {
                 self.exact.pop();
                 continue;
             }
@@ -437,27 +441,39 @@ impl Search {
     /// The best closure, taken out of the heap; `None` if nothing above the floor gains, or nothing was found in time.
     /// Afterwards [`Search::upper`] bounds every other one.
     pub fn next(&mut self, ask: &Ask, standing: &mut Standing, stop: Stop) -> Option<Ranked> {
+        let mut last = 0;
         loop {
             let first = self.first_exact(ask, standing);
-            let bound = self.bounds.peek().map_or(0.0, |b| b.ratio);
+            let bound = self.bound();
             let exact = first.map_or(0.0, |e| e.ratio);
             let missed = bound > exact && bound > stop.floor && bound * (1.0 - stop.tolerance) > exact;
             // Equal bounds are opened too: among equals the least id wins.
             let missed = missed || (stop.tolerance <= 0.0 && bound >= exact && bound > stop.floor && bound > 0.0);
-            if !missed || self.evaluations() >= stop.evaluations_max {
-                let first = first.filter(|e| e.ratio > stop.floor)?;
-                self.exact.pop();
-                let members = closure(ask.tree, standing, first.rep);
-                if !members.iter().all(|&m| (ask.allowed)(m)) {
+            if missed && self.evaluations() < stop.evaluations_max {
+                let below = self.below.peek().map_or(0.0, |b| b.ratio);
+                match self.pop_bounded(|ratio| ratio >= below) {
+                    Some(Bounded { ratio, rep }) => self.evaluate(ask, standing, rep, ratio),
+                    None => {
+                        let Some(below) = self.below.pop() else { continue };
+                        self.open(ask, standing, below);
+                    }
+                }
+                continue;
+            }
+            if missed && last < LAST_LOOKS {
+                // Out of time: the most promising closures seen are all that can still be looked at.
+                if let Some(Bounded { ratio, rep }) = self.pop_bounded(|ratio| ratio > exact) {
+                    last += 1;
+                    self.evaluate(ask, standing, rep, ratio);
                     continue;
                 }
+            }
+            let first = first.filter(|e| e.ratio > stop.floor)?;
+            self.exact.pop();
+            let members = closure(ask.tree, standing, first.rep);
+            if members.iter().all(|&m| (ask.allowed)(m)) {
                 let Exact { ratio, rep, gain, cost, seen } = first;
                 return Some(Ranked { rep, members, gain, cost, ratio, seen });
-            }
-            let Some(top) = self.bounds.pop() else { continue };
-            match top.what {
-                What::Beneath { node, from, shown, mask } => self.open(ask, standing, top, node, from, shown, mask),
-                What::Closure(rep) => self.evaluate(ask, standing, rep, top.ratio),
             }
         }
     }
@@ -476,16 +492,12 @@ impl Search {
     /// Upper bounds on the ratios of a node's own candidates and of everything strictly beneath it, as a search without
     /// anything known would compute them. Ends the search.
     pub fn bounds_of(&mut self, ask: &Ask, standing: &Standing, node: NodeId) -> (Vec<(RepId, f64)>, f64) {
-        self.bounds.clear();
+        self.below.clear();
+        self.bounded.clear();
         let shown = standing.plan().best_above(ask.tree, node);
         self.look(ask, standing, node, shown, ALL, true);
-        let (mut own, mut beneath) = (Vec::new(), 0.0);
-        for bound in self.bounds.drain() {
-            match bound.what {
-                What::Closure(rep) => own.push((rep, bound.ratio)),
-                What::Beneath { .. } => beneath = bound.ratio,
-            }
-        }
+        let own = self.bounded.drain().map(|b| (b.rep, b.ratio)).collect();
+        let beneath = self.below.drain().map(|b| b.ratio).fold(0.0, f64::max);
         (own, beneath)
     }
 }
