@@ -11,7 +11,7 @@ use foresight_scheduler::lod_tree::{Aabb, LodTree, LodTreeBuilder, LodTreeError,
 use foresight_scheduler::policy::foresight::{Foresight, ForesightSettings};
 use foresight_scheduler::predict::PredictedPath;
 use foresight_scheduler::predict::motion::Speeds;
-use foresight_scheduler::scheduler::{Scheduler, SchedulerSettings};
+use foresight_scheduler::scheduler::{Scheduler, SchedulerError, SchedulerSettings};
 use foresight_scheduler::select::horizon::{Horizon, HorizonSettings};
 use foresight_scheduler::units::Time;
 use foresight_scheduler::view::View;
@@ -20,6 +20,7 @@ use glam::{DQuat, DVec3};
 use std::hint::black_box;
 use std::time::Duration;
 
+const SMALL_LEVELS: u32 = 6;
 const CITY_LEVELS: u32 = 7;
 const LARGE_LEVELS: u32 = 10;
 /// Side of a leaf's footprint, metres.
@@ -136,37 +137,55 @@ fn objective(c: &mut Criterion, city: &LodTree) {
     }
 }
 
-/// The first decision after a sampling is due, with the coarse levels resident.
-fn decision(c: &mut Criterion, city: &LodTree) {
-    let coarse = coarse(city);
-    let used: u64 = coarse.iter().map(|&r| city.decoded_bytes(r)).sum();
+/// What a client has fetched that was here a while: about 5,500 representations of the upper levels.
+fn upper(tree: &LodTree) -> Vec<RepId> {
+    let is_upper = |rep: &RepId| tree.ancestors(tree.node_of(*rep)).count() <= 7;
+    (0..tree.representations() as u32).map(RepId).filter(is_upper).collect()
+}
+
+/// The first decision after a sampling is due, with the upper levels resident; and the one after half a turn.
+fn decision(c: &mut Criterion, trees: &[&LodTree]) {
     let mut group = c.benchmark_group("decision of foresight");
-    for (name, budget) in [("memory free", used + (64 << 20)), ("memory full", used + (16 << 10))] {
-        group.bench_function(name, |b| {
-            let fresh = || {
-                let policy = Foresight::new("foresight", ForesightSettings::default());
-                let mut scheduler = Scheduler::new(city, SchedulerSettings::with_budget(budget), Box::new(policy));
-                let preloaded = coarse.iter().try_for_each(|&rep| scheduler.preload(rep));
-                preloaded.map(|()| scheduler)
-            };
-            b.iter_batched(
-                fresh,
-                |scheduler| {
-                    let mut scheduler = scheduler?;
-                    scheduler.observe(&view(), Time::ZERO)?;
-                    let action = scheduler.next(Time::ZERO)?;
-                    // Handed back, so that dropping it is not measured.
-                    Ok::<_, foresight_scheduler::scheduler::SchedulerError>((action, scheduler))
-                },
-                BatchSize::LargeInput,
-            );
-        });
+    for tree in trees {
+        let upper = upper(tree);
+        let used: u64 = upper.iter().map(|&r| tree.decoded_bytes(r)).sum();
+        for (name, spare, turned) in
+            [("memory free", 64 << 20, false), ("memory full", 16 << 10, false), ("after half a turn", 64 << 20, true)]
+        {
+            group.bench_function(BenchmarkId::new(name, tree.representations()), |b| {
+                let fresh = || {
+                    let policy = Box::new(Foresight::checked("foresight", ForesightSettings::default())?);
+                    let settings = SchedulerSettings::with_budget(used + spare);
+                    let mut scheduler = Scheduler::checked(tree, settings, policy)?;
+                    upper.iter().try_for_each(|&rep| scheduler.preload(rep))?;
+                    let (mut here, mut now) = (view(), Time::ZERO);
+                    if turned {
+                        scheduler.observe(&here, now)?;
+                        scheduler.next(now)?;
+                        here.orientation = DQuat::from_rotation_y(core::f64::consts::PI) * here.orientation;
+                        now = Time::from_secs(0.5);
+                    }
+                    Ok::<_, SchedulerError>((scheduler, here, now))
+                };
+                b.iter_batched(
+                    fresh,
+                    |prepared| {
+                        let (mut scheduler, here, now) = prepared?;
+                        scheduler.observe(&here, now)?;
+                        let action = scheduler.next(now)?;
+                        // Handed back, so that dropping it is not measured.
+                        Ok::<_, SchedulerError>((action, scheduler))
+                    },
+                    BatchSize::LargeInput,
+                );
+            });
+        }
     }
     group.finish();
 }
 
 fn main() -> Result<(), LodTreeError> {
-    let (city, large) = (quadtree(CITY_LEVELS)?, quadtree(LARGE_LEVELS)?);
+    let (small, city, large) = (quadtree(SMALL_LEVELS)?, quadtree(CITY_LEVELS)?, quadtree(LARGE_LEVELS)?);
     let mut c = Criterion::default()
         .sample_size(20)
         .warm_up_time(Duration::from_millis(500))
@@ -174,7 +193,7 @@ fn main() -> Result<(), LodTreeError> {
         .configure_from_args();
     cuts(&mut c, &city, &large);
     objective(&mut c, &city);
-    decision(&mut c, &city);
+    decision(&mut c, &[&small, &city, &large]);
     c.final_summary();
     Ok(())
 }

@@ -77,7 +77,7 @@ fn at_ten_kilometres_a_second_what_is_passed_is_not_fetched() {
     let path = |t: f64| at(DVec3::new(0.0, 0.0, 10_000.0 - 10_000.0 * t));
     let log = client.run(&tree, 96, path);
     assert!(log.fetched.contains(&1), "{log:?}");
-    let slow = client.run(&tree, 8, |t| at(DVec3::new(0.0, 0.0, -1.0 * t)));
+    let slow = client.run(&tree, 8, |t| at(DVec3::new(0.0, 0.0, -t)));
     assert_eq!(slow.fetched.first(), Some(&0), "{slow:?}");
 }
 

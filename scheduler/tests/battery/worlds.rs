@@ -2,7 +2,7 @@
 
 use crate::session::{Client, at, cube, flat, nine, rep, try_flat};
 use foresight_scheduler::benefit::cut::{Cut, CutSettings, Region};
-use foresight_scheduler::lod_tree::{Aabb, DEPTH_MAX, LodTree, LodTreeBuilder, LodTreeError, RepId};
+use foresight_scheduler::lod_tree::{Aabb, DEPTH_MAX, LodTree, LodTreeBuilder, LodTreeError};
 use foresight_scheduler::policy::foresight::{ChoiceMethod, Foresight, ForesightSettings};
 use foresight_scheduler::predict::PredictorKind;
 use foresight_scheduler::scheduler::{Action, Scheduler, SchedulerSettings};
