@@ -45,6 +45,15 @@ pub struct Trust {
 impl Trust {
     /// What the command line accepts.
     pub const EXPECTED: &'static str = "a number from 0 to 1, adapted, or solved";
+
+    /// Where α comes from, as the command line says it; `None` for a number.
+    pub fn word(&self) -> Option<String> {
+        match self.rule {
+            AlphaRule::Fixed | AlphaRule::Watched => None,
+            AlphaRule::Adapted => Some("adapted".to_owned()),
+            AlphaRule::Solved { at_least } => Some(format!("solved:at-least={at_least}")),
+        }
+    }
 }
 
 impl From<f64> for Trust {
@@ -388,6 +397,9 @@ mod tests {
             ("foresight-solved:at-least=0.9", (0.5, solved(0.9))),
         ] {
             assert_eq!(rule(list, 0.5), expected, "{list}");
+        }
+        for word in ["adapted", "solved:at-least=0.25"] {
+            assert_eq!(word.parse::<Trust>().expect("a word").word().as_deref(), Some(word));
         }
         let adapted: Trust = "adapted".parse().expect("a word");
         assert_eq!(rule("foresight", adapted).1, AlphaRule::Adapted);
