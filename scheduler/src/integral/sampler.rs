@@ -9,12 +9,14 @@ use super::integrand::{attenuated, check_attenuation};
 use super::target::check_cut;
 use super::{AddedBenefit, Form, IntegralError, Leg, Sight, Target, accuracy_gain};
 use crate::benefit::cut::CutSettings;
-use crate::benefit::frustum::Side;
+use crate::benefit::frustum::{Frustum, Side};
 use crate::estimate::Estimate;
 use glam::DVec3;
 
 /// Most pieces of one target on one leg; a longer spin is cut into as many.
 const PIECES_MAX: usize = 256;
+/// Most halvings of one piece.
+const DEPTH_MAX: u32 = 48;
 /// Nodes of a part in which planes clip a leaf.
 const CLIPPED_LEAF: u32 = 6;
 /// Nodes of a part in which planes clip a group.
@@ -45,6 +47,8 @@ pub struct Sampler {
     cut: CutSettings,
     attenuation: f64,
     from_s: f64,
+    /// At `from_s` and at the leg's end.
+    ends: [Frustum; 2],
 }
 
 impl Sampler {
@@ -55,7 +59,12 @@ impl Sampler {
     pub fn new(leg: &Leg, cut: &CutSettings, attenuation: f64) -> Result<Sampler, IntegralError> {
         check_cut(cut)?;
         check_attenuation(attenuation)?;
-        Ok(Sampler { leg: *leg, cut: *cut, attenuation, from_s: leg.from_s() })
+        Ok(Sampler::from(leg, cut, attenuation, leg.from_s()))
+    }
+
+    fn from(leg: &Leg, cut: &CutSettings, attenuation: f64, from_s: f64) -> Sampler {
+        let ends = [leg.frustum(from_s), leg.frustum(leg.to_s())];
+        Sampler { leg: *leg, cut: *cut, attenuation, from_s, ends }
     }
 
     /// The leg.
@@ -71,7 +80,7 @@ impl Sampler {
             return 0;
         }
         let span = Span { leg: &self.leg, target, from_s, to_s };
-        let swept = span.swept();
+        let swept = span.swept(&self.ends[0], &self.ends[1]);
         if swept == Side::Outside {
             return 1;
         }
@@ -82,7 +91,6 @@ impl Sampler {
             }
         }
         span.box_events(&self.cut, &mut found);
-        found.times.retain(|&u| u > from_s && u < to_s);
         found.times.sort_by(f64::total_cmp);
         let mut evaluations = found.evaluations;
         let mut begin = from_s;
@@ -118,47 +126,54 @@ impl Sampler {
                 return evaluations;
             }
         }
-        let is_clipped = side != Side::Inside;
-        let mut open = vec![(from, to)];
-        while let Some((from, to)) = open.pop() {
-            let middle = 0.5 * (from + to);
-            let ratio = self.variation(target, side, middle, to - from);
-            if ratio > 0.5 && *pieces > open.len() && middle > from && middle < to {
-                open.push((middle, to));
-                open.push((from, middle));
-                continue;
-            }
-            *pieces = pieces.saturating_sub(1);
-            let count = if is_clipped {
-                // Corners that cross a plane leave kinks of their own in what is seen of a leaf.
-                if target.form() == Form::Leaf { CLIPPED_LEAF } else { CLIPPED_GROUP }
-            } else if ratio < 0.03 {
-                1
-            } else if ratio < 0.25 {
-                2
-            } else {
-                3
-            };
-            let half = 0.5 * (to - from);
-            let mut begin = from;
-            for &(x, weight) in rule(count) {
-                let u = middle + half * x;
-                let sight = self.see(target, side, u);
-                evaluations += 1;
-                let length = half * weight;
-                let end = (begin + length).min(to);
-                if sight.weight > 0.0 {
-                    nodes.push(Node {
-                        weight: attenuated(self.attenuation, u) * sight.weight * length,
-                        sharpness: sight.sharpness,
-                        from_s: begin,
-                        to_s: end,
-                    });
-                }
-                begin = end;
-            }
+        evaluations + self.part(target, side, (from, to), DEPTH_MAX, pieces, nodes)
+    }
+
+    /// Nodes of a part, halved while the integrand changes too much over it, at most `depth` times.
+    fn part(
+        &self,
+        target: &Target,
+        side: Side,
+        (from, to): (f64, f64),
+        depth: u32,
+        pieces: &mut usize,
+        nodes: &mut Vec<Node>,
+    ) -> u32 {
+        let middle = 0.5 * (from + to);
+        let ratio = self.variation(target, side, middle, to - from);
+        if ratio > 0.5 && depth > 0 && *pieces > 1 && middle > from && middle < to {
+            *pieces -= 1;
+            return self.part(target, side, (from, middle), depth - 1, pieces, nodes)
+                + self.part(target, side, (middle, to), depth - 1, pieces, nodes);
         }
-        evaluations
+        let count = if side != Side::Inside {
+            // Corners that cross a plane leave kinks of their own in what is seen of a leaf.
+            if target.form() == Form::Leaf { CLIPPED_LEAF } else { CLIPPED_GROUP }
+        } else if ratio < 0.03 {
+            1
+        } else if ratio < 0.25 {
+            2
+        } else {
+            3
+        };
+        let half = 0.5 * (to - from);
+        let mut begin = from;
+        for &(x, weight) in rule(count) {
+            let u = middle + half * x;
+            let sight = self.see(target, side, u);
+            let length = half * weight;
+            let end = (begin + length).min(to);
+            if sight.weight > 0.0 {
+                nodes.push(Node {
+                    weight: attenuated(self.attenuation, u) * sight.weight * length,
+                    sharpness: sight.sharpness,
+                    from_s: begin,
+                    to_s: end,
+                });
+            }
+            begin = end;
+        }
+        count
     }
 
     fn see(&self, target: &Target, side: Side, u: f64) -> Sight {
@@ -199,8 +214,7 @@ impl Sampler {
 
 /// The default method: the nodes, summed. The error estimate is 10⁻³ of the value, its aim.
 pub(super) fn integrate(benefit: &AddedBenefit) -> Estimate {
-    let sampler =
-        Sampler { leg: benefit.leg, cut: benefit.cut, attenuation: benefit.attenuation, from_s: benefit.from_s() };
+    let sampler = Sampler::from(&benefit.leg, &benefit.cut, benefit.attenuation, benefit.from_s());
     let mut nodes = Vec::new();
     let evaluations = sampler.sample(&benefit.target, &mut nodes);
     let value = gain(&nodes, benefit.after, benefit.before);
