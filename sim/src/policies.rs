@@ -383,6 +383,22 @@ mod tests {
     }
 
     #[test]
+    fn the_worst_case_is_named_by_reading_and_neighbourhood() {
+        for (spec, expected) in [
+            ("foresight", Some("union")),
+            ("foresight:worst=minimum", Some("minimum")),
+            ("foresight:neighbourhood=orbit", Some("union (orbit)")),
+            ("foresight:neighbourhood=path:worst=minimum:clearance=0.5", Some("minimum (path)")),
+            ("potree", None),
+        ] {
+            let parsed = PolicySpec::parse_list(spec, 0.5, None).expect("the options exist").remove(0);
+            assert_eq!(parsed.worst_case().as_deref(), expected, "{spec}");
+        }
+        assert!(PolicySpec::parse_list("foresight:worst=mean", 0.5, None).is_err());
+        assert!(PolicySpec::parse_list("foresight:neighbourhood=swim", 0.5, None).is_err());
+    }
+
+    #[test]
     fn alpha_is_a_number_or_a_rule() {
         let solved = |at_least| AlphaRule::Solved { at_least };
         for (list, expected) in [
