@@ -8,6 +8,7 @@ use foresight_scheduler::policy::foresight::{
 };
 use foresight_scheduler::policy::{Policy, RIVALS, Rival, RivalSettings, added_benefit};
 use foresight_scheduler::predict::{PredictedPath, Predictor, PredictorKind, known_path::KnownPath};
+use foresight_scheduler::setting::SettingError;
 use foresight_scheduler::units::Time;
 use foresight_scheduler::view::View;
 use foresight_scheduler::worst_case::WorstCaseKind;
@@ -114,6 +115,9 @@ pub enum PolicySpecError {
         /// What there is.
         expected: &'static str,
     },
+    /// A setting without meaning, although each option was in its range.
+    #[error(transparent)]
+    Setting(#[from] SettingError),
     /// A value out of range.
     #[error("policy {policy}: {key}={value}; expected {expected}")]
     Value {
@@ -176,6 +180,7 @@ impl PolicySpec {
         for option in parts {
             policy.set(option)?;
         }
+        policy.settings.check()?;
         Ok(policy)
     }
 

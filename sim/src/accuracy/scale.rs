@@ -88,7 +88,7 @@ pub fn decisions<'a>(
     let settings = SchedulerSettings::with_budget(motion.memory());
     let mut drive = Drive {
         tree,
-        scheduler: Scheduler::new(tree, settings, policy),
+        scheduler: Scheduler::checked(tree, settings, policy)?,
         link: SharedLink::new(link, Time::ZERO),
         pipeline: Pipeline::new(ClientSettings::default()),
         transfers: BTreeMap::new(),
