@@ -126,7 +126,7 @@ pub fn decisions<'a>(
         decisions,
         actions,
         bytes_per_representation: tree.heap_bytes() as f64 / tree.representations().max(1) as f64,
-        session_bytes: None,
+        session_bytes: drive.scheduler.heap_bytes() as u64,
     })
 }
 

@@ -148,6 +148,7 @@ impl ReplayArgs {
     #[cfg(feature = "runs")]
     pub(crate) fn other_settings(&self) -> serde_json::Value {
         serde_json::json!({
+            "alpha_rule": self.alpha.word(),
             "error_target": self.error_target,
             "decode_rate": self.decode_rate,
             "upload_budget": self.upload_budget,
