@@ -2,7 +2,7 @@
 
 use crate::session::{Client, at, cube, flat, nine, rep, try_flat};
 use foresight_scheduler::benefit::cut::{Cut, CutSettings, Region};
-use foresight_scheduler::lod_tree::{Aabb, DEPTH_MAX, LodTree, LodTreeBuilder, LodTreeError};
+use foresight_scheduler::lod_tree::{Aabb, DEPTH_MAX, LodTree, LodTreeBuilder, LodTreeError, RepId};
 use foresight_scheduler::policy::foresight::{ChoiceMethod, Foresight, ForesightSettings};
 use foresight_scheduler::predict::PredictorKind;
 use foresight_scheduler::scheduler::{Action, Scheduler, SchedulerSettings};
@@ -234,4 +234,19 @@ fn importance_beyond_a_float_is_refused_by_name() {
     let object = [(cube(DVec3::NEG_Z * 10.0, 1.0), &[(1000, 0.5)][..])];
     let error = try_flat(&object, 1e300f64 as f32).unwrap_err();
     assert_eq!(error.to_string(), "node 1 has the importance inf; expected a finite number ≥ 0");
+}
+
+/// Beside a world of 1.1 million representations a client with 5,000 residents takes memory for those, wherever they
+/// lie: together, or as far apart as they can.
+#[test]
+fn a_session_beside_a_million_representations() {
+    let tree = coincident(1050, 1050);
+    for apart in [1, tree.representations() as u32 / 5000] {
+        let policy = Box::new(Foresight::new("foresight", ForesightSettings::default()));
+        let mut scheduler = Scheduler::new(&tree, SchedulerSettings::with_budget(1 << 40), policy);
+        (0..5000).for_each(|r| scheduler.preload(RepId(r * apart)).unwrap());
+        let bytes = scheduler.heap_bytes();
+        println!("{bytes} bytes with residents {apart} apart");
+        assert!(bytes < 600_000, "{bytes} with residents {apart} apart");
+    }
 }
