@@ -11,7 +11,7 @@ use super::prices::{Prices, decrease};
 /// Rounds that a level takes at most, and at least.
 const ROUNDS: [usize; 2] = [40, 300];
 /// Choices looked at in all rounds of a level together.
-const WORK: usize = 250_000_000;
+const WORK: usize = 80_000_000;
 /// Share of the last slope that stays in the next.
 const SMOOTHING: f64 = 0.8;
 /// First and last length of a move: of an accuracy, and of a price relative to its scale; of the first level, and of those

@@ -13,6 +13,7 @@ pub mod over_time;
 pub mod prices;
 mod seen;
 pub mod shadow;
+mod targets;
 pub mod tiny;
 pub mod whole;
 
