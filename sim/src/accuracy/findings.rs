@@ -54,11 +54,11 @@ fn of_errors(part: &str, rows: &[ErrorRow]) -> Vec<Finding> {
             .iter()
             .take(NAMED)
             .map(|r| match verdict {
-                Verdict::Loose => format!("{} (mean width {:.1e})", r.case, share(r)),
-                _ => format!(
-                    "{} ({} of {}, error up to {:.1e})",
-                    r.case, r.bound_violations, r.candidates, r.max_relative_error
-                ),
+                Verdict::Loose => format!("{} (mean width {})", r.case, scientific(share(r))),
+                _ => {
+                    let error = scientific(r.max_relative_error);
+                    format!("{} ({} of {}, error up to {error})", r.case, r.bound_violations, r.candidates)
+                }
             })
             .collect();
         let more = if rows.len() > NAMED { format!(" and {} more", rows.len() - NAMED) } else { String::new() };
@@ -67,6 +67,10 @@ fn of_errors(part: &str, rows: &[ErrorRow]) -> Vec<Finding> {
         Finding { verdict, text }
     };
     found.into_iter().map(sentence).collect()
+}
+
+fn scientific(value: f64) -> String {
+    if value == f64::INFINITY { "∞".to_owned() } else { format!("{value:.1e}") }
 }
 
 fn of_upper_bounds(outcome: &Accuracy) -> Vec<Finding> {

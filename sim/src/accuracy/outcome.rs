@@ -82,7 +82,8 @@ pub struct ErrorRow {
     pub evaluations: f64,
     /// Mean run time a candidate on one core; differs from run to run.
     pub ns_per_candidate: f64,
-    /// Largest |value − reference| ÷ max(|reference|, 10⁻⁴ × the best of the scene); for a worst case ÷ Σw.
+    /// Largest |value − reference| ÷ max(|reference|, 10⁻⁴ × the best of the scene); for `minimum` ÷ Σw. What is infinite
+    /// is `null` in the document.
     pub max_relative_error: f64,
     /// 99.9th percentile of the same, by nearest rank.
     pub p999_relative_error: f64,

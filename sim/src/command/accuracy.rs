@@ -44,7 +44,8 @@ pub(crate) struct AccuracyArgs {
     /// Parts to measure, separated by commas, of integral, worst-case, choice, scale and upper-bound; all if not given
     #[arg(long, value_name = "PARTS", value_delimiter = ',', value_parser = part)]
     only: Vec<Part>,
-    /// Candidates of the integral and, a hundredth of it, of the worst case; 1000000 is the full proof
+    /// Candidates of the integral, half of them from replays; a choice in each situation for every 400; from 100000 on the
+    /// offline search for the worst case is run in full. 1000000 is the full proof
     #[arg(long, default_value_t = 4000, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100_000_000))]
     candidates: u64,
     /// Situations kept of each replay

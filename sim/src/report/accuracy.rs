@@ -80,7 +80,7 @@ fn tables(outcome: &Accuracy, short: bool) -> Vec<(&'static str, Vec<Vec<String>
     let mut tables = Vec::new();
     for (heading, rows) in [
         ("The added-benefit integral: relative error against the reference", &outcome.integral),
-        ("The worst case: error relative to Σw", &outcome.worst_case),
+        ("The worst case: relative error, of minimum relative to Σw", &outcome.worst_case),
     ] {
         if !rows.is_empty() {
             let is_single = |r: &&ErrorRow| !short || r.case == ALL;
