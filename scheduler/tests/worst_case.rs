@@ -140,6 +140,9 @@ proptest! {
         let distance = ((middle - view.position).abs() - half).max(DVec3::ZERO).length();
         prop_assert!(neighbourhood.nearest(&bounds) <= distance + 1e-9);
         prop_assert!(neighbourhood.nearest(&bounds) <= neighbourhood.nearest_at_most(&bounds) + 1e-9);
+        let angles = neighbourhood.angles(&bounds, DVec3::Y);
+        let angle = libm::acos((view.position - middle).normalize_or_zero().y.clamp(-1.0, 1.0));
+        prop_assert!(view.position == middle || angles.0 - 1e-6 <= angle && angle <= angles.1 + 1e-6, "{angles:?} {angle}");
     }
 
     /// The deficit over the targets is that of the view's own cut where every group is opened, and no sampled view

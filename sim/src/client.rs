@@ -23,6 +23,13 @@ impl Default for ClientSettings {
     }
 }
 
+impl ClientSettings {
+    /// A client for which decoding and uploading cost nothing, and which announces nothing.
+    pub fn unlimited() -> ClientSettings {
+        ClientSettings { decode_rate: f64::MAX, upload_bytes_per_tick: u64::MAX, ..ClientSettings::default() }
+    }
+}
+
 /// Representations between their last byte and their first frame, in order of arrival.
 #[derive(Clone, Debug)]
 pub struct Pipeline {

@@ -1,18 +1,19 @@
 //! Several policies over the same world, path and link, and what came of it.
 
-use crate::bound::{self, CheapestBeneath, FrameBound, Limits};
+use crate::bound::whole::{self, Bound, Terms};
 use crate::client::ClientSettings;
 use crate::flight::{Flight, TICKS_PER_FRAME, tick_time};
 use crate::link::LinkTrace;
 use crate::outcome::{
-    AlphaOutcome, Arrival, Comparison, Inputs, Interval, Intervals, PolicyOutcome, PolicySeries, Pressure,
-    RegretOutcome, SCHEMA_VERSION, Series, UpperBound,
+    AlphaOutcome, Arrival, Comparison, Inputs, Interval, Intervals, Limits, PolicyOutcome, PolicySeries, Pressure,
+    RegretOutcome, SCHEMA_VERSION, Series, ShadowPrices, UpperBound,
 };
 use crate::policies::PolicySpec;
 use crate::pressure::Needs;
 use crate::random::SplitMix64;
 use crate::replay::{ReplayError, Run, Stage, replay};
 use crate::stopwatch::percentiles;
+use foresight_scheduler::benefit::coverage::Refinement;
 use foresight_scheduler::benefit::cut::{Cut, CutSettings};
 use foresight_scheduler::lod_tree::{LodTree, RepId};
 use foresight_scheduler::policy::foresight::{AlphaReport, Constraint};
@@ -63,6 +64,8 @@ pub struct Plan<'a> {
     pub warm: bool,
     /// Leave the bound out.
     pub without_bound: bool,
+    /// Replay what knows path and link once more with what the bound lets cost nothing, to tell what limits `foresight`.
+    pub limits: bool,
 }
 
 /// Why there is no comparison.
@@ -131,6 +134,11 @@ pub fn compare(
             policies.extend(plan.hindsight_targets.iter().map(|&px| spec.with_target(px)));
         }
     }
+    // What knows path and link on a link and a client as the bound relaxes them, after the others.
+    let relaxed_link = if plan.limits { relaxed(plan.link) } else { None };
+    let compared = policies.len();
+    let clairvoyant = policies.iter().find(|p| p.label == "clairvoyant").cloned();
+    policies.extend(clairvoyant.filter(|_| relaxed_link.is_some()));
     let jobs: Vec<(usize, usize)> =
         (0..policies.len()).flat_map(|p| (0..plan.starts.len()).map(move |s| (p, s))).collect();
     let done = std::sync::atomic::AtomicUsize::new(0);
@@ -138,17 +146,20 @@ pub fn compare(
         .par_iter()
         .map(|&(p, s)| {
             let start = plan.starts[s];
+            let relaxed = relaxed_link.as_ref().filter(|_| p >= compared);
+            let link = relaxed.unwrap_or(plan.link);
+            let refinement = if relaxed.is_some() { Refinement::Partial } else { plan.scheduler.refinement };
             let stage = Stage {
                 tree: plan.tree,
                 flight: plan.flight,
                 cuts: &cuts,
-                link: plan.link,
+                link,
                 link_start: start,
-                client: plan.client,
-                scheduler: SchedulerSettings { budget, ..plan.scheduler },
+                client: if relaxed.is_some() { ClientSettings::unlimited() } else { plan.client },
+                scheduler: SchedulerSettings { budget, refinement, ..plan.scheduler },
                 preloaded: &preloaded,
             };
-            let policy = policies[p].build(plan.tree, plan.flight, plan.link, start);
+            let policy = policies[p].build(plan.tree, plan.flight, link, start);
             let run = replay(stage, policy).map_err(|source| CompareError::Replay {
                 policy: policies[p].label.clone(),
                 start_s: start.secs(),
@@ -161,9 +172,10 @@ pub fn compare(
     let by_policy: Vec<&[Run]> = runs.chunks(plan.starts.len()).collect();
     let mut outcomes: Vec<(PolicyOutcome, usize)> =
         by_policy.iter().enumerate().map(|(p, runs)| (outcome(&policies[p], runs), p)).collect();
+    let relaxed_quality = outcomes.split_off(compared).pop().and_then(|(outcome, _)| outcome.mean_quality);
     keep_best_targets(&mut outcomes, &policies, plan.policies.len());
 
-    let bounds = if plan.without_bound { Vec::new() } else { frame_bounds(plan, &cuts, budget, &preloaded) };
+    let bounds = if plan.without_bound { Vec::new() } else { bounds(plan, &cuts, budget, &preloaded) };
     let nonempty = cuts.iter().filter(|c| c.total_weight > 0.0).count();
     let delivered: Vec<f64> =
         plan.starts.iter().map(|&s| plan.link.bytes_deliverable(s, s + plan.flight.duration()) as f64).collect();
@@ -196,7 +208,9 @@ pub fn compare(
     let shown: Vec<(&str, &Run)> =
         outcomes.iter().map(|(outcome, p)| (outcome.name.as_str(), &by_policy[*p][0])).collect();
     let series = series(plan, &bounds, &shown);
-    let mean_bounds: Vec<f64> = bounds.iter().filter_map(|frames| mean_some(frames)).collect();
+    let upper_bound = UpperBound::new(&bounds);
+    let policies: Vec<PolicyOutcome> = outcomes.into_iter().map(|(outcome, _)| outcome).collect();
+    let brought: Vec<Vec<f64>> = plan.starts.iter().map(|&start| brought(plan, start)).collect();
     Ok(Comparison {
         schema_version: SCHEMA_VERSION,
         inputs: Inputs {
@@ -211,8 +225,10 @@ pub fn compare(
         },
         pressure,
         nonempty_share: nonempty as f64 / cuts.len() as f64,
-        upper_bound: UpperBound { mean_quality: mean(&mean_bounds), method: bound::METHOD.to_owned() },
-        policies: outcomes.into_iter().map(|(outcome, _)| outcome).collect(),
+        shadow_prices: ShadowPrices::new(&bounds, &brought, budget),
+        limits: Limits::of(&policies, relaxed_quality, &upper_bound),
+        upper_bound,
+        policies,
         warnings,
         series,
     })
@@ -267,28 +283,22 @@ fn keep_best_targets(outcomes: &mut Vec<(PolicyOutcome, usize)>, policies: &[Pol
     }
 }
 
-/// Upper bound of every frame, for every start.
-fn frame_bounds(plan: &Plan, cuts: &[Cut], budget: u64, preloaded: &[RepId]) -> Vec<Vec<Option<f64>>> {
-    let cheapest = CheapestBeneath::new(plan.tree);
-    let at_start: u64 = preloaded.iter().map(|&r| plan.tree.wire_bytes(r)).sum();
-    let by_frame: Vec<Vec<Option<f64>>> = cuts
-        .par_iter()
-        .enumerate()
-        .map(|(frame, cut)| {
-            let Some(mut problem) = FrameBound::new(plan.tree, &cheapest, cut) else {
-                return vec![None; plan.starts.len()];
-            };
-            let at = tick_time(frame as u64 * TICKS_PER_FRAME);
-            plan.starts
-                .iter()
-                .map(|&start| {
-                    let wire = at_start + plan.link.bytes_deliverable(start, start + at);
-                    Some(problem.bound(Limits { wire: wire as f64, memory: budget as f64 }))
-                })
-                .collect()
-        })
-        .collect();
-    (0..plan.starts.len()).map(|s| by_frame.iter().map(|frame| frame[s]).collect()).collect()
+/// The link without latency and failures.
+fn relaxed(link: &LinkTrace) -> Option<LinkTrace> {
+    link.with_rtt(Time::ZERO).and_then(|link| link.with_loss(0.0, 0)).ok()
+}
+
+/// Bytes that the link can bring between each frame and the one before.
+fn brought(plan: &Plan, start: Time) -> Vec<f64> {
+    let at = |frame: u64| start + tick_time(frame * TICKS_PER_FRAME);
+    let frames = 0..plan.flight.frames() as u64;
+    frames.map(|f| plan.link.bytes_deliverable(at(f.saturating_sub(1)), at(f)) as f64).collect()
+}
+
+/// The upper bounds, one a start.
+fn bounds(plan: &Plan, cuts: &[Cut], budget: u64, preloaded: &[RepId]) -> Vec<Bound> {
+    let at_start = preloaded.iter().map(|&r| plan.tree.wire_bytes(r)).sum();
+    whole::bounds(&Terms { tree: plan.tree, cuts, link: plan.link, at_start, budget }, &plan.starts)
 }
 
 /// What a policy reached, averaged over the starts.
@@ -408,10 +418,6 @@ fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
-fn mean_some(values: &[Option<f64>]) -> Option<f64> {
-    mean(&values.iter().copied().flatten().collect::<Vec<_>>())
-}
-
 /// 95 % interval of the mean by Student's t; `None` if a value is missing or there is only one.
 pub(crate) fn interval(values: &[Option<f64>]) -> Option<Interval> {
     let values: Vec<f64> = values.iter().copied().collect::<Option<_>>()?;
@@ -438,7 +444,7 @@ fn path_hash(flight: &Flight) -> String {
 }
 
 /// Series of the first start, for the report.
-fn series(plan: &Plan, bounds: &[Vec<Option<f64>>], runs: &[(&str, &Run)]) -> Series {
+fn series(plan: &Plan, bounds: &[Bound], runs: &[(&str, &Run)]) -> Series {
     let start = plan.starts[0];
     let seconds = libm::ceil(plan.flight.duration().secs()) as u64;
     let second = |s: u64| Time(s * 1_000_000_000);
@@ -451,7 +457,7 @@ fn series(plan: &Plan, bounds: &[Vec<Option<f64>>], runs: &[(&str, &Run)]) -> Se
     let frames_per_second = (crate::flight::TICKS_PER_SECOND / TICKS_PER_FRAME) as usize;
     Series {
         frame_s: frames.iter().map(|&t| tick_time(t).secs()).collect(),
-        bound: bounds.first().cloned().unwrap_or_default(),
+        bound: bounds.first().map(|b| b.frames.clone()).unwrap_or_default(),
         path_xy: frames.iter().map(|&t| flat(plan.flight.views[t as usize].position)).collect(),
         second_s: (0..seconds).map(|s| s as f64).collect(),
         capacity_bytes: (0..seconds)

@@ -5,6 +5,7 @@ pub mod bound;
 pub mod client;
 pub mod compare;
 pub mod flight;
+pub mod limits;
 pub mod link;
 pub mod outcome;
 pub mod path;

@@ -1,5 +1,7 @@
 //! What a comparison yields: the document that `replay --json` prints, and the series that the report draws.
 
+use crate::bound::frame;
+use crate::bound::whole::{Bound, METHOD_OVER_TIME};
 use serde::Serialize;
 
 /// Version of the JSON document. Raised when a field changes its meaning or goes away.
@@ -18,6 +20,12 @@ pub struct Comparison {
     pub nonempty_share: f64,
     /// The goal line.
     pub upper_bound: UpperBound,
+    /// What more link or memory would have added to the goal line; present where there is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub shadow_prices: Option<ShadowPrices>,
+    /// What keeps `foresight` from the goal line; present where it was asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub limits: Option<Limits>,
     /// One entry a policy, in the order asked for.
     pub policies: Vec<PolicyOutcome>,
     /// What the reader of the figures must know: repairs, low pressure, empty views.
@@ -107,11 +115,40 @@ pub struct Pressure {
 /// Proven upper bound on the mean quality of any online policy.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct UpperBound {
-    /// Mean over the frames with something in view; over the starts too.
+    /// Mean over the frames with something in view, the smaller of the two beneath in each start; over the starts too.
     pub mean_quality: Option<f64>,
     /// How it was proven.
     pub method: String,
+    /// Mean of what bounds each frame by itself.
+    pub by_frame: Option<f64>,
+    /// The bound over time, of the mean only.
+    pub over_time: Option<f64>,
 }
+
+impl UpperBound {
+    /// The means over the starts.
+    pub fn new(starts: &[Bound]) -> UpperBound {
+        let mean = |of: &dyn Fn(&Bound) -> Option<f64>| -> Option<f64> {
+            let values: Vec<f64> = starts.iter().map(of).collect::<Option<_>>()?;
+            (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+        };
+        let over_time = starts.iter().filter(|start| start.is_over_time()).count();
+        let method = match (starts.first(), over_time) {
+            (None, _) => String::new(),
+            (Some(first), n) if n == 0 || n == starts.len() => first.method().to_owned(),
+            (Some(_), n) => format!("{n} of {} starts {METHOD_OVER_TIME}; the others {}", starts.len(), frame::METHOD),
+        };
+        UpperBound {
+            mean_quality: mean(&|start| start.mean_quality()),
+            method,
+            by_frame: mean(&|start| start.by_frame),
+            over_time: mean(&|start| start.over_time),
+        }
+    }
+}
+
+pub use crate::bound::shadow::ShadowPrices;
+pub use crate::limits::Limits;
 
 /// A 95 % interval of a mean over starts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]

@@ -8,6 +8,7 @@ use foresight_scheduler::policy::foresight::{
 };
 use foresight_scheduler::policy::{Policy, RIVALS, Rival, RivalSettings, added_benefit};
 use foresight_scheduler::predict::{PredictedPath, Predictor, PredictorKind, known_path::KnownPath};
+use foresight_scheduler::setting::SettingError;
 use foresight_scheduler::units::Time;
 use foresight_scheduler::view::View;
 use foresight_scheduler::worst_case::WorstCaseKind;
@@ -45,6 +46,15 @@ pub struct Trust {
 impl Trust {
     /// What the command line accepts.
     pub const EXPECTED: &'static str = "a number from 0 to 1, adapted, or solved";
+
+    /// Where α comes from, as the command line says it; `None` for a number.
+    pub fn word(&self) -> Option<String> {
+        match self.rule {
+            AlphaRule::Fixed | AlphaRule::Watched => None,
+            AlphaRule::Adapted => Some("adapted".to_owned()),
+            AlphaRule::Solved { at_least } => Some(format!("solved:at-least={at_least}")),
+        }
+    }
 }
 
 impl From<f64> for Trust {
@@ -105,6 +115,9 @@ pub enum PolicySpecError {
         /// What there is.
         expected: &'static str,
     },
+    /// A setting without meaning, although each option was in its range.
+    #[error(transparent)]
+    Setting(#[from] SettingError),
     /// A value out of range.
     #[error("policy {policy}: {key}={value}; expected {expected}")]
     Value {
@@ -167,6 +180,7 @@ impl PolicySpec {
         for option in parts {
             policy.set(option)?;
         }
+        policy.settings.check()?;
         Ok(policy)
     }
 
@@ -375,6 +389,22 @@ mod tests {
     }
 
     #[test]
+    fn the_worst_case_is_named_by_reading_and_neighbourhood() {
+        for (spec, expected) in [
+            ("foresight", Some("union")),
+            ("foresight:worst=minimum", Some("minimum")),
+            ("foresight:neighbourhood=orbit", Some("union (orbit)")),
+            ("foresight:neighbourhood=path:worst=minimum:clearance=0.5", Some("minimum (path)")),
+            ("potree", None),
+        ] {
+            let parsed = PolicySpec::parse_list(spec, 0.5, None).expect("the options exist").remove(0);
+            assert_eq!(parsed.worst_case().as_deref(), expected, "{spec}");
+        }
+        assert!(PolicySpec::parse_list("foresight:worst=mean", 0.5, None).is_err());
+        assert!(PolicySpec::parse_list("foresight:neighbourhood=swim", 0.5, None).is_err());
+    }
+
+    #[test]
     fn alpha_is_a_number_or_a_rule() {
         let solved = |at_least| AlphaRule::Solved { at_least };
         for (list, expected) in [
@@ -389,6 +419,9 @@ mod tests {
             ("foresight-solved:at-least=0.9", (0.5, solved(0.9))),
         ] {
             assert_eq!(rule(list, 0.5), expected, "{list}");
+        }
+        for word in ["adapted", "solved:at-least=0.25"] {
+            assert_eq!(word.parse::<Trust>().expect("a word").word().as_deref(), Some(word));
         }
         let adapted: Trust = "adapted".parse().expect("a word");
         assert_eq!(rule("foresight", adapted).1, AlphaRule::Adapted);

@@ -165,7 +165,8 @@ struct Replay<'a> {
 pub fn replay<'a>(stage: Stage<'a>, policy: Box<dyn Policy + 'a>) -> Result<Run, ReplayError> {
     let mut replay = Replay {
         stage,
-        scheduler: Scheduler::new(stage.tree, stage.scheduler, policy),
+        scheduler: Scheduler::checked(stage.tree, stage.scheduler, policy)
+            .map_err(|source| ReplayError::Scheduler { at_s: 0.0, source })?,
         link: SharedLink::new(stage.link, stage.link_start),
         pipeline: Pipeline::new(stage.client),
         transfers: Vec::new(),

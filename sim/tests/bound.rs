@@ -126,7 +126,8 @@ fn two_leaves() -> (LodTree, Cut) {
 }
 
 /// Both leaves weigh one half, so with a the accuracy of a leaf and b that of the parent everything is known: nothing
-/// below 1 kB, b from 1 kB, (a + b)/2 from 11 kB, a from 20 kB. The dual is the concave hull of these steps.
+/// below 1 kB, b from 1 kB, (a + b)/2 from 11 kB, a from 20 kB. The dual is the concave hull of these steps, less what alone
+/// exceeds the limit.
 #[test]
 fn two_leaves_by_hand() {
     let (tree, cut) = two_leaves();
@@ -141,9 +142,11 @@ fn two_leaves_by_hand() {
     let sets = every_set(&tree, &cut);
     let cheapest = CheapestBeneath::new(&tree);
     let mut problem = FrameBound::new(&tree, &cheapest, &cut).unwrap();
-    // Corners of the hull: (0, 0), (1000, b), then straight to (20000, a), because (11000, (a + b)/2) lies beneath.
+    // Corners of the hull: (0, 0), (1000, b), then straight to (20000, a), because (11000, (a + b)/2) lies beneath; nothing
+    // fits below 1 kB, and no leaf below 10 kB.
     let hull = |w: f64| match w {
-        w if w <= 1e3 => b * w / 1e3,
+        w if w < 1e3 => 0.0,
+        w if w < 1e4 => b,
         w => (b + (a - b) * (w - 1e3) / 19e3).min(a),
     };
     let steps = [(0, 0.0), (999, 0.0), (1000, b), (10_999, b), (11_000, 0.5 * (a + b)), (19_999, 0.5 * (a + b))];

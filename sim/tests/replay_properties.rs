@@ -352,6 +352,7 @@ fn document(world: &World, policies: &[PolicySpec], threads: usize) -> serde_jso
         judging: CutSettings::default(),
         warm: !world.preloaded.is_empty(),
         without_bound: false,
+        limits: true,
     };
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("two threads can be had");
     let made = pool.install(|| compare(&plan, Inputs::default(), |_, _| {})).expect("the smallest request fits");

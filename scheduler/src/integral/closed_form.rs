@@ -28,7 +28,7 @@ pub(super) fn integrate(benefit: &AddedBenefit) -> Result<Estimate, IntegralErro
     if benefit.attenuation != 0.0 || cut.centre_falloff != 0.0 {
         return refuse("attenuation and centre weighting are not elementary with it");
     }
-    match (Span { leg, target, from_s: from, to_s: to }).swept() {
+    match (Span { leg, target, from_s: from, to_s: to }).swept(&leg.frustum(from), &leg.frustum(to)) {
         Side::Outside => return Ok(Estimate { value: 0.0, error_estimate: 0.0, evaluations: 1 }),
         Side::Straddles(_) => return refuse("the target may not lie inside the view as a whole all along the leg"),
         Side::Inside => {}

@@ -8,15 +8,17 @@
 
 use super::{Form, Leg, Target};
 use crate::benefit::cut::CutSettings;
-use crate::benefit::frustum::Side;
+use crate::benefit::frustum::{Frustum, Side};
+use crate::benefit::weight::nearest_distance;
 use glam::DVec3;
 
-/// Bisections on the way to a bracket, over one plane; then what is left unclear is let be.
-const BRACKETING_MAX: u32 = 600;
+/// Bisections on the way to brackets, over one plane: some, and more for each radian turned, up to a most. Then what is
+/// left unclear is let be.
+const BRACKETING: (f64, f64, f64) = (100.0, 20.0, 2000.0);
 /// Steps of the refinement of one root.
 const REFINING_MAX: u32 = 60;
 /// Most events; a longer spin is split at the first ones only.
-const EVENTS_MAX: usize = 4096;
+const EVENTS_MAX: usize = 1024;
 
 /// Events in order.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -36,7 +38,7 @@ pub fn events(leg: &Leg, target: &Target, cut: &CutSettings, from_s: f64, to_s: 
     if from_s >= to_s {
         return out;
     }
-    let swept = span.swept();
+    let swept = span.swept(&leg.frustum(from_s), &leg.frustum(to_s));
     out.evaluations += 2;
     if swept == Side::Outside {
         return out;
@@ -47,10 +49,17 @@ pub fn events(leg: &Leg, target: &Target, cut: &CutSettings, from_s: f64, to_s: 
         }
     }
     span.box_events(cut, &mut out);
-    out.times.retain(|&u| u > from_s && u < to_s);
     out.times.sort_by(f64::total_cmp);
     out.times.dedup();
     out
+}
+
+impl Events {
+    fn push(&mut self, span: &Span, u: f64) {
+        if u > span.from_s && u < span.to_s {
+            self.times.push(u);
+        }
+    }
 }
 
 /// A target along a part of a leg.
@@ -65,15 +74,18 @@ impl Span<'_> {
     /// Where the box lies relative to the frustum throughout: the side it has at every time, or the planes that may cut
     /// it at some. Heights and extents stay near the chords between their ends: |h″| ≤ ρ²·|c| + 2ρ·|v| and, where it
     /// exists, |x″| ≤ ρ²·Σhalf, while kinks only lower x.
-    pub(super) fn swept(&self) -> Side {
-        let (a, b) = (self.leg.frustum(self.from_s), self.leg.frustum(self.to_s));
+    ///
+    /// `a` and `b` are the frusta at the ends.
+    pub(super) fn swept(&self, a: &Frustum, b: &Frustum) -> Side {
         let (c, e) =
             (self.leg.relative(self.target.centre(), self.from_s), self.leg.relative(self.target.centre(), self.to_s));
         let half = self.target.half();
         let seconds = self.to_s - self.from_s;
         let slack = if self.leg.rate() > 0.0 {
-            seconds * seconds / 8.0
-                * (self.second_derivative() + self.leg.rate() * self.leg.rate() * half.element_sum())
+            let rate = self.leg.rate();
+            // The distance to the centre is largest at an end.
+            let second = self.second_derivative(c.length_squared().max(e.length_squared()).sqrt());
+            0.125 * seconds * seconds * (second + rate * rate * half.element_sum())
         } else {
             0.0
         };
@@ -91,12 +103,10 @@ impl Span<'_> {
         if planes == 0 { Side::Inside } else { Side::Straddles(planes) }
     }
 
-    /// Bound on |h″|, m/s².
-    fn second_derivative(&self) -> f64 {
+    /// Bound on |h″|, m/s², where the centre is at most `farthest` metres away.
+    fn second_derivative(&self, farthest: f64) -> f64 {
         let rate = self.leg.rate();
-        let (a, b) =
-            (self.leg.relative(self.target.centre(), self.from_s), self.leg.relative(self.target.centre(), self.to_s));
-        rate * rate * a.length().max(b.length()) + 2.0 * rate * self.leg.velocity().length()
+        rate * rate * farthest + 2.0 * rate * self.leg.velocity().length()
     }
 
     /// (height of the centre over plane `plane`, extent of the box across it) at `u`.
@@ -121,15 +131,20 @@ impl Span<'_> {
         if self.leg.rate() == 0.0 {
             for (a, b) in [(h0 - x0, h1 - x1), (h0 + x0, h1 + x1)] {
                 if (a < 0.0) != (b < 0.0) {
-                    out.times.push(self.from_s + seconds * (a / (a - b)));
+                    out.push(self, self.from_s + seconds * (a / (a - b)));
                 }
             }
             return;
         }
-        let curvature = self.second_derivative() / 8.0;
+        let farthest = [self.from_s, self.to_s]
+            .map(|u| self.leg.relative(self.target.centre(), u).length())
+            .into_iter()
+            .fold(0.0, f64::max);
+        let curvature = self.second_derivative(farthest) / 8.0;
         let stretch = 0.5 * self.leg.rate() * self.target.half().element_sum();
         // Depth first, in order of time.
-        let mut budget = BRACKETING_MAX;
+        let (some, each, most) = BRACKETING;
+        let mut budget = (some + each * self.leg.rate() * seconds).min(most) as u32;
         let mut open = vec![(self.from_s, h0, x0, self.to_s, h1, x1)];
         while let Some((u0, h0, x0, u1, h1, x1)) = open.pop() {
             if out.times.len() >= EVENTS_MAX {
@@ -161,7 +176,7 @@ impl Span<'_> {
                         h + sign * x
                     };
                     let (root, evaluations) = illinois(&mut f, (u0, a), (u1, b), tolerance_s);
-                    out.times.push(root);
+                    out.push(self, root);
                     out.evaluations += evaluations;
                 }
             }
@@ -171,49 +186,45 @@ impl Span<'_> {
     /// Where the eye crosses the planes of the box, and where the distance reaches the floor.
     pub(super) fn box_events(&self, cut: &CutSettings, out: &mut Events) {
         let velocity = self.leg.velocity();
-        let centre = self.leg.relative(self.target.centre(), self.leg.from_s());
+        let centre = self.leg.relative(self.target.centre(), self.from_s);
+        let seconds = self.to_s - self.from_s;
         let half = self.target.half();
-        let mut push = |t: f64| {
-            if t.is_finite() {
-                out.times.push(self.leg.from_s() + t);
-            }
-        };
+        let mut push = |t: f64| out.push(self, self.from_s + t);
         let (symmetry, faces) = match self.target.form() {
             Form::Leaf => (false, true),
             Form::FarLeaf => (true, true),
             Form::Group => (true, false),
         };
+        let end = centre - velocity * seconds;
         for k in 0..3 {
-            if velocity[k] == 0.0 {
-                continue;
-            }
-            if symmetry {
+            // Whether the component passes a value between the ends.
+            let passes = |at: f64| (centre[k] < at) != (end[k] < at);
+            if symmetry && passes(0.0) {
                 push(centre[k] / velocity[k]);
             }
-            if faces {
+            if faces && passes(half[k]) {
                 push((centre[k] - half[k]) / velocity[k]);
+            }
+            if faces && passes(-half[k]) {
                 push((centre[k] + half[k]) / velocity[k]);
             }
         }
-        if symmetry {
+        // How near the path comes at least.
+        let way = velocity.length() * seconds;
+        if symmetry && centre.length() - way < cut.near {
             for t in reaches(centre, velocity, cut.near) {
                 push(t);
             }
         }
-        if faces {
+        if faces && nearest_distance(centre, half) - way < cut.near {
             // The nearest point is on a face, an edge or a corner: each axis is either free or at one of its ends.
-            for case in 0..27 {
+            for case in 1..27 {
                 let ends = [case % 3, case / 3 % 3, case / 9];
-                let pick = |k: usize| if ends[k] == 0 { 0.0 } else { 1.0 };
-                let mask = DVec3::new(pick(0), pick(1), pick(2));
-                if mask == DVec3::ZERO {
-                    continue;
-                }
+                let mask = DVec3::from_array(ends.map(|end| if end == 0 { 0.0 } else { 1.0 }));
                 let end = |k: usize| if ends[k] == 1 { -half[k] } else { half[k] };
                 let point = (centre + DVec3::new(end(0), end(1), end(2))) * mask;
                 for t in reaches(point, velocity * mask, cut.near) {
-                    let c = self.leg.relative(self.target.centre(), self.leg.from_s() + t);
-                    let outside = c.abs().cmpgt(half);
+                    let outside = (centre - velocity * t).abs().cmpgt(half);
                     if (0..3).all(|k| outside.test(k) == (ends[k] != 0)) {
                         push(t);
                     }
@@ -248,26 +259,33 @@ pub(super) fn illinois(
     tolerance: f64,
 ) -> (f64, u32) {
     let mut evaluations = 0;
-    let mut kept = 0u32;
+    let mut last = f64::NAN;
+    // How often one end has stayed: the false position creeps then.
+    let (mut stays, mut was_left) = (0, true);
+    let tolerance = tolerance.max(2.0 * f64::EPSILON * a.abs().max(b.abs()));
     while evaluations < REFINING_MAX && b - a > tolerance {
         let secant = a + (b - a) * (fa / (fa - fb));
-        let guess = if kept < 3 && secant > a && secant < b { secant } else { 0.5 * (a + b) };
-        if guess <= a || guess >= b {
-            break;
+        let guess = if stays < 3 && secant > a && secant < b { secant } else { 0.5 * (a + b) };
+        if guess <= a || guess >= b || (guess - last).abs() <= tolerance {
+            return (guess.clamp(a, b), evaluations);
         }
+        last = guess;
         let value = f(guess);
         evaluations += 1;
         if value == 0.0 {
             return (guess, evaluations);
         }
-        if (value < 0.0) == (fa < 0.0) {
-            kept = if fb.abs() > 0.0 && kept > 0 { kept + 1 } else { 1 };
+        let is_left = (value < 0.0) == (fa < 0.0);
+        stays = if is_left == was_left { stays + 1 } else { 0 };
+        was_left = is_left;
+        // Halving the value at an end that stays twice pulls the next guess beyond the root (Illinois).
+        let weight = if stays > 0 { 0.5 } else { 1.0 };
+        if is_left {
             (a, fa) = (guess, value);
-            fb *= 0.5;
+            fb *= weight;
         } else {
-            kept = 0;
             (b, fb) = (guess, value);
-            fa *= 0.5;
+            fa *= weight;
         }
     }
     (0.5 * (a + b), evaluations)

@@ -9,7 +9,7 @@ use glam::{DQuat, DVec3};
 /// Positions, sizes and the way covered on a leg, metres, are at most this.
 pub(super) const METRES_MAX: f64 = 1e30;
 /// Legs end at most this late, seconds.
-pub(super) const SECONDS_MAX: f64 = 1e7;
+pub(super) const SECONDS_MAX: f64 = 1e6;
 const PIXELS_PER_RADIAN_MAX: f64 = 1e30;
 
 /// Motion from `from_s` to `to_s` seconds (from now): position linear in time, orientation turning at constant rate
@@ -30,12 +30,12 @@ impl Leg {
     /// length: several turns are legal).
     ///
     /// # Errors
-    /// What [`View::check`] refuses, NaN, infinities, times that do not ascend from 0, and sizes beyond 10³⁰ m, 10⁷ s
+    /// What [`View::check`] refuses, NaN, infinities, times that do not ascend from 0, and sizes beyond 10³⁰ m, 10⁶ s
     /// and 10⁶ rad/s.
     pub fn new(start: &View, velocity: DVec3, rotation: DVec3, from_s: f64, to_s: f64) -> Result<Leg, IntegralError> {
         start.check()?;
-        within("from_s", from_s, 0.0, SECONDS_MAX, "0 to 1e7 s")?;
-        within("to_s", to_s, from_s, SECONDS_MAX, "from_s to 1e7 s")?;
+        within("from_s", from_s, 0.0, SECONDS_MAX, "0 to 1e6 s")?;
+        within("to_s", to_s, from_s, SECONDS_MAX, "from_s to 1e6 s")?;
         for value in start.position.to_array() {
             within("position", value.abs(), 0.0, METRES_MAX, "coordinates up to 1e30 m")?;
         }

@@ -9,12 +9,18 @@ use super::integrand::{attenuated, check_attenuation};
 use super::target::check_cut;
 use super::{AddedBenefit, Form, IntegralError, Leg, Sight, Target, accuracy_gain};
 use crate::benefit::cut::CutSettings;
-use crate::benefit::frustum::Side;
+use crate::benefit::frustum::{Frustum, Side};
 use crate::estimate::Estimate;
 use glam::DVec3;
 
 /// Most pieces of one target on one leg; a longer spin is cut into as many.
 const PIECES_MAX: usize = 256;
+/// Most halvings of one piece.
+const DEPTH_MAX: u32 = 48;
+/// Nodes of a part in which planes clip a leaf.
+const CLIPPED_LEAF: u32 = 6;
+/// Nodes of a part in which planes clip a group.
+const CLIPPED_GROUP: u32 = 4;
 
 /// What a quadrature sees of a target.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,6 +47,8 @@ pub struct Sampler {
     cut: CutSettings,
     attenuation: f64,
     from_s: f64,
+    /// At `from_s` and at the leg's end.
+    ends: [Frustum; 2],
 }
 
 impl Sampler {
@@ -51,7 +59,12 @@ impl Sampler {
     pub fn new(leg: &Leg, cut: &CutSettings, attenuation: f64) -> Result<Sampler, IntegralError> {
         check_cut(cut)?;
         check_attenuation(attenuation)?;
-        Ok(Sampler { leg: *leg, cut: *cut, attenuation, from_s: leg.from_s() })
+        Ok(Sampler::from(leg, cut, attenuation, leg.from_s()))
+    }
+
+    fn from(leg: &Leg, cut: &CutSettings, attenuation: f64, from_s: f64) -> Sampler {
+        let ends = [leg.frustum(from_s), leg.frustum(leg.to_s())];
+        Sampler { leg: *leg, cut: *cut, attenuation, from_s, ends }
     }
 
     /// The leg.
@@ -67,7 +80,7 @@ impl Sampler {
             return 0;
         }
         let span = Span { leg: &self.leg, target, from_s, to_s };
-        let swept = span.swept();
+        let swept = span.swept(&self.ends[0], &self.ends[1]);
         if swept == Side::Outside {
             return 1;
         }
@@ -78,7 +91,6 @@ impl Sampler {
             }
         }
         span.box_events(&self.cut, &mut found);
-        found.times.retain(|&u| u > from_s && u < to_s);
         found.times.sort_by(f64::total_cmp);
         let mut evaluations = found.evaluations;
         let mut begin = from_s;
@@ -103,47 +115,69 @@ impl Sampler {
         nodes: &mut Vec<Node>,
     ) -> u32 {
         let mut evaluations = 0;
-        let mut open = vec![(from, to)];
-        while let Some((from, to)) = open.pop() {
+        let mut side = swept;
+        if swept != Side::Inside {
+            // No plane is met within the part, so that its middle tells.
             let middle = 0.5 * (from + to);
-            let ratio = self.variation(target, swept, middle, to - from);
-            if ratio > 0.5 && *pieces > open.len() && middle > from && middle < to {
-                open.push((middle, to));
-                open.push((from, middle));
-                continue;
-            }
-            *pieces = pieces.saturating_sub(1);
-            let count = if ratio < 0.03 {
-                1
-            } else if ratio < 0.25 {
-                2
-            } else {
-                3
-            };
-            let half = 0.5 * (to - from);
-            let mut begin = from;
-            for &(x, weight) in rule(count) {
-                let u = middle + half * x;
-                let sight = self.see(target, swept, u);
-                evaluations += 1;
-                let length = half * weight;
-                let end = (begin + length).min(to);
-                if sight.weight > 0.0 {
-                    nodes.push(Node {
-                        weight: attenuated(self.attenuation, u) * sight.weight * length,
-                        sharpness: sight.sharpness,
-                        from_s: begin,
-                        to_s: end,
-                    });
-                }
-                begin = end;
+            let centre = self.leg.relative(target.centre(), middle);
+            side = self.leg.frustum(middle).side(centre, target.half());
+            evaluations += 1;
+            if side == Side::Outside {
+                return evaluations;
             }
         }
-        evaluations
+        evaluations + self.part(target, side, (from, to), DEPTH_MAX, pieces, nodes)
     }
 
-    fn see(&self, target: &Target, swept: Side, u: f64) -> Sight {
-        if swept == Side::Inside && self.cut.centre_falloff == 0.0 {
+    /// Nodes of a part, halved while the integrand changes too much over it, at most `depth` times.
+    fn part(
+        &self,
+        target: &Target,
+        side: Side,
+        (from, to): (f64, f64),
+        depth: u32,
+        pieces: &mut usize,
+        nodes: &mut Vec<Node>,
+    ) -> u32 {
+        let middle = 0.5 * (from + to);
+        let ratio = self.variation(target, side, middle, to - from);
+        if ratio > 0.5 && depth > 0 && *pieces > 1 && middle > from && middle < to {
+            *pieces -= 1;
+            return self.part(target, side, (from, middle), depth - 1, pieces, nodes)
+                + self.part(target, side, (middle, to), depth - 1, pieces, nodes);
+        }
+        let count = if side != Side::Inside {
+            // Corners that cross a plane leave kinks of their own in what is seen of a leaf.
+            if target.form() == Form::Leaf { CLIPPED_LEAF } else { CLIPPED_GROUP }
+        } else if ratio < 0.03 {
+            1
+        } else if ratio < 0.25 {
+            2
+        } else {
+            3
+        };
+        let half = 0.5 * (to - from);
+        let mut begin = from;
+        for &(x, weight) in rule(count) {
+            let u = middle + half * x;
+            let sight = self.see(target, side, u);
+            let length = half * weight;
+            let end = (begin + length).min(to);
+            if sight.weight > 0.0 {
+                nodes.push(Node {
+                    weight: attenuated(self.attenuation, u) * sight.weight * length,
+                    sharpness: sight.sharpness,
+                    from_s: begin,
+                    to_s: end,
+                });
+            }
+            begin = end;
+        }
+        count
+    }
+
+    fn see(&self, target: &Target, side: Side, u: f64) -> Sight {
+        if side == Side::Inside && self.cut.centre_falloff == 0.0 {
             let centre = self.leg.relative(target.centre(), u);
             return target.weigh(self.leg.base(), centre, Side::Inside, &self.cut);
         }
@@ -152,7 +186,7 @@ impl Sampler {
 
     /// How much the integrand changes over `seconds` about `u`: the way covered ÷ the distance of what it could change
     /// by, and the angle turned where that matters.
-    fn variation(&self, target: &Target, swept: Side, u: f64, seconds: f64) -> f64 {
+    fn variation(&self, target: &Target, side: Side, u: f64, seconds: f64) -> f64 {
         let velocity = self.leg.velocity();
         let centre = self.leg.relative(target.centre(), u);
         let way = velocity.length() * seconds;
@@ -173,15 +207,14 @@ impl Sampler {
             (way / edge.max(f64::MIN_POSITIVE)).max(towards / near)
         };
         let turned =
-            if swept == Side::Inside && self.cut.centre_falloff == 0.0 { 0.0 } else { self.leg.rate() * seconds };
+            if side == Side::Inside && self.cut.centre_falloff == 0.0 { 0.0 } else { self.leg.rate() * seconds };
         moved.max(turned).max((0.5 * self.attenuation * seconds).min(1.0))
     }
 }
 
 /// The default method: the nodes, summed. The error estimate is 10⁻³ of the value, its aim.
 pub(super) fn integrate(benefit: &AddedBenefit) -> Estimate {
-    let sampler =
-        Sampler { leg: benefit.leg, cut: benefit.cut, attenuation: benefit.attenuation, from_s: benefit.from_s() };
+    let sampler = Sampler::from(&benefit.leg, &benefit.cut, benefit.attenuation, benefit.from_s());
     let mut nodes = Vec::new();
     let evaluations = sampler.sample(&benefit.target, &mut nodes);
     let value = gain(&nodes, benefit.after, benefit.before);

@@ -54,10 +54,10 @@ impl Target {
     /// A leaf by its box, metres, and importance.
     ///
     /// # Errors
-    /// What is NaN, negative, or beyond 10³⁰ m or an importance of 10²⁹⁰.
+    /// What is NaN, negative, or beyond 10³⁰ m or an importance of 10³⁰⁰.
     pub fn leaf(centre: DVec3, half: DVec3, importance: f64) -> Result<Target, IntegralError> {
         check_box(centre, half)?;
-        within("importance", importance, 0.0, 1e290, "0 to 1e290")?;
+        within("importance", importance, 0.0, 1e300, "0 to 1e300")?;
         Ok(Target { centre, half, size: DVec3::splat(importance), form: Form::Leaf })
     }
 

@@ -21,7 +21,7 @@ mod sampled;
 mod settings;
 mod worst;
 
-pub use alpha::{AT_LEAST, AlphaReport, AlphaRule, Constraint};
+pub use alpha::{ALPHA_MAX, AT_LEAST, AlphaReport, AlphaRule, Constraint};
 pub use settings::{ChoiceMethod, Discards, ForesightSettings};
 
 use super::Policy;

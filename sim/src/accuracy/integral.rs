@@ -1,6 +1,6 @@
 //! The added-benefit integral: every method and setting against the reference.
 
-use super::outcome::{ErrorRow, Kind, Splitting};
+use super::outcome::{ErrorRow, GAIN_FLOOR, Kind, Splitting};
 use super::record::{Answer, Record};
 use super::reference::reference;
 use super::scene::Scene;
@@ -11,8 +11,8 @@ use foresight_scheduler::integral::{AddedBenefit, IntegralError, Method, integra
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Errors up to this share of the truth are rounding: no method is said to lie about less.
-const ROUNDING: f64 = 1e-13;
+/// Relative errors up to this are put down to rounding: no uncertified method is said to lie about less.
+const ROUNDING: f64 = 1e-9;
 
 /// Gains below this, sr·s, are enclosed as if they were this: 10⁻⁴ of a hundredth of a steradian for a second.
 const ENCLOSURE_FLOOR: f64 = 1e-6;
@@ -250,7 +250,8 @@ fn enter(record: &mut Record, tried: &Tried, answer: &Answer, truth: &Truth, bes
         record.gaps.push(share(width, truth.value, best));
     }
     // Uncertified values are forgiven rounding, proven bounds are not.
-    let slack = truth.error + if tried.certified { 0.0 } else { ROUNDING * truth.value.abs() + f64::MIN_POSITIVE };
+    let forgiven = ROUNDING * truth.value.abs().max(GAIN_FLOOR * best) + f64::MIN_POSITIVE;
+    let slack = truth.error + if tried.certified { 0.0 } else { forgiven };
     record.violations += u64::from(!answer.meets(truth.value - slack, truth.value + slack));
 }
 

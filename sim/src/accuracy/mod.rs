@@ -16,6 +16,7 @@ pub mod scale;
 pub mod scene;
 pub mod situation;
 pub mod statistics;
+pub mod upper_bound;
 pub mod worst_case;
 
 /// The stream of numbers from which candidates are drawn.

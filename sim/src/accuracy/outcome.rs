@@ -174,8 +174,8 @@ pub struct ScaleRow {
     pub actions: u64,
     /// Bytes a representation that all sessions share.
     pub bytes_per_representation: f64,
-    /// Bytes of one session's state, without its policy; `null` where it is not counted.
-    pub session_bytes: Option<u64>,
+    /// Bytes of one session's state at the end, without its policy.
+    pub session_bytes: u64,
 }
 
 /// A replay's bound against the exact optimum on a tiny instance.

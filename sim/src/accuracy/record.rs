@@ -19,9 +19,10 @@ impl Answer {
         Answer { value, lower: f64::NEG_INFINITY, upper: f64::INFINITY, evaluations }
     }
 
-    /// Whether it says that the truth may lie within [`low`, `high`].
+    /// Whether it says that the truth may lie within [`low`, `high`], and its value lies within its own bounds.
     pub(super) fn meets(&self, low: f64, high: f64) -> bool {
-        self.lower <= high && low <= self.upper
+        let is_sound = self.lower <= self.value && self.value <= self.upper;
+        is_sound && self.lower <= high && low <= self.upper
     }
 }
 

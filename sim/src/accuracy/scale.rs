@@ -88,7 +88,7 @@ pub fn decisions<'a>(
     let settings = SchedulerSettings::with_budget(motion.memory());
     let mut drive = Drive {
         tree,
-        scheduler: Scheduler::new(tree, settings, policy),
+        scheduler: Scheduler::checked(tree, settings, policy)?,
         link: SharedLink::new(link, Time::ZERO),
         pipeline: Pipeline::new(ClientSettings::default()),
         transfers: BTreeMap::new(),
@@ -126,7 +126,7 @@ pub fn decisions<'a>(
         decisions,
         actions,
         bytes_per_representation: tree.heap_bytes() as f64 / tree.representations().max(1) as f64,
-        session_bytes: None,
+        session_bytes: drive.scheduler.heap_bytes() as u64,
     })
 }
 

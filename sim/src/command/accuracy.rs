@@ -14,7 +14,7 @@ use foresight_sim::accuracy::integral::Integrals;
 use foresight_sim::accuracy::outcome::{Accuracy, SCHEMA_VERSION};
 use foresight_sim::accuracy::situation::{self, Source};
 use foresight_sim::accuracy::worst_case::WorstCases;
-use foresight_sim::accuracy::{Draws, findings, grouping, hard, scale, scene};
+use foresight_sim::accuracy::{Draws, findings, grouping, hard, scale, scene, upper_bound};
 use foresight_sim::link::LinkTrace;
 use foresight_sim::report;
 use foresight_sim::suite::CASES;
@@ -146,6 +146,10 @@ pub(crate) fn run(args: &AccuracyArgs) -> anyhow::Result<()> {
     }
     if is_asked(Part::Scale) {
         measure_scale(args, &progress, &mut outcome)?;
+    }
+    if is_asked(Part::UpperBound) {
+        progress.show("the upper bound on tiny instances");
+        outcome.upper_bound = upper_bound::rows(u64::from(args.instances), args.seed)?;
     }
     progress.show("");
     outcome.findings = findings::findings(&outcome);

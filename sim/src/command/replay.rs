@@ -96,6 +96,10 @@ pub(crate) struct ReplayArgs {
     /// Leave the upper bound out
     #[arg(long)]
     no_bound: bool,
+    /// Replay clairvoyant once more with what the bound lets cost nothing (latency, failures, decoding), and say what keeps
+    /// foresight from the bound
+    #[arg(long)]
+    pub(super) limits: bool,
     /// Write report.html and comparison.json into this directory
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
@@ -132,6 +136,7 @@ impl ReplayArgs {
             opening: 0.15,
             announce: None,
             no_bound: false,
+            limits: false,
             report: Some(PathBuf::from("report")),
             store: None,
             json: false,
@@ -143,6 +148,7 @@ impl ReplayArgs {
     #[cfg(feature = "runs")]
     pub(crate) fn other_settings(&self) -> serde_json::Value {
         serde_json::json!({
+            "alpha_rule": self.alpha.word(),
             "error_target": self.error_target,
             "decode_rate": self.decode_rate,
             "upload_budget": self.upload_budget,
@@ -299,6 +305,7 @@ pub(crate) fn execute(args: &ReplayArgs, progress: &(dyn Fn(usize, usize) + Sync
         judging: CutSettings { opening: args.opening, ..CutSettings::default() },
         warm: args.warm,
         without_bound: args.no_bound,
+        limits: args.limits && !args.no_bound,
     };
     let view = placed.flight.views[0];
     let inputs = Inputs {

@@ -190,6 +190,7 @@ pub(super) fn completed(mut command: Vec<String>, args: &SuiteArgs) -> Vec<Strin
             command.extend([option.to_owned(), value]);
         }
     }
+    command.push("--limits".to_owned());
     command
 }
 

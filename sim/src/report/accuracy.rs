@@ -164,7 +164,7 @@ fn scale_cells(row: &ScaleRow) -> Vec<String> {
         row.decisions.to_string(),
         row.actions.to_string(),
         significant(row.bytes_per_representation),
-        row.session_bytes.map_or_else(|| NEVER.to_owned(), |b| format!("{} kB", significant(b as f64 / 1e3))),
+        format!("{} kB", significant(row.session_bytes as f64 / 1e3)),
     ]
 }
 

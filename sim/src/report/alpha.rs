@@ -35,7 +35,7 @@ fn constraint(alpha: &AlphaOutcome) -> String {
     if all("met") {
         "met".to_owned()
     } else if all("slack") {
-        "met even at α = 1".to_owned()
+        "met even at the largest α".to_owned()
     } else if all("infeasible") {
         "infeasible, it is not reached even at α = 0".to_owned()
     } else if all("converging") {

@@ -10,6 +10,7 @@ mod metric;
 mod number;
 mod page;
 mod plot;
+mod prices;
 mod scatter;
 mod suite;
 mod table;

@@ -11,6 +11,7 @@ use super::plot::{
     Axis, BOUND_CLASS, EndLabel, bands, bars, colour_class, end_labels, frame, legend, level, lines, percent,
     series_class, steps, stroke_class, swatch, toggle_rules,
 };
+use super::prices::prices;
 use crate::outcome::{Comparison, PolicyOutcome};
 
 /// Most points of a curve over time.
@@ -45,7 +46,7 @@ pub(super) fn page(comparison: &Comparison, command: Option<&str>) -> String {
                     }
                 }
                 main {
-                    section.headline { @for finding in findings(comparison) { p { (finding) } } (caution(comparison)) }
+                    section.headline { @for finding in findings(comparison) { p { (finding) } } @if let Some(limits) = &comparison.limits { p { (limits.sentence()) "." } } (caution(comparison)) }
                     (section("figures", "Figures",
                         "A row a policy: higher quality and lower deficit are better, bold is the best of its \
                          column, and the last row is what no policy could exceed.",
@@ -71,6 +72,13 @@ pub(super) fn page(comparison: &Comparison, command: Option<&str>) -> String {
                         "Grey is what the link could deliver, the coloured area what the policy let cross it: grey \
                          left over was not used.",
                         link(comparison)))
+                    @if let Some(prices) = prices(comparison, &time_axis(comparison, 4)) {
+                        (section("prices", "What more link or memory would have bought",
+                            "The higher a bar, the more a little more just then would have raised the upper bound, in \
+                             thousandths of quality averaged over the whole replay; where there is none, more would have \
+                             been of no use. The first order only: a price falls as more is given.",
+                            prices))
+                    }
                     (section("map", "From above",
                         "Each rectangle is the ground beneath something fetched, dark if it arrived early and \
                          bright if late, fine over coarse; the line is the camera's path from the round end to the \

@@ -8,7 +8,7 @@ use super::downsample::{drawable, extremes};
 use super::metric::{Context, METRICS};
 use super::number::{NEVER, duration, fixed, mebibytes, megabytes, optional, printable, significant};
 use super::plot::{Axis, BOUND_CLASS, frame, legend, lines, percent, series_class, stroke_class, swatch, toggle_rules};
-use crate::outcome::Comparison;
+use crate::outcome::{Comparison, Limits};
 use crate::policies::knows_the_future;
 use crate::suite::{CaseOutcome, Due, ReplayOutcome, Standing, SuiteOutcome, TIE, Verdict};
 
@@ -39,6 +39,9 @@ pub fn suite_text(outcome: &SuiteOutcome, width: usize) -> String {
     for case in outcome.cases.iter().filter(|c| c.due == Due::Tie) {
         text.push_str(&format!("{}\n", due(case)));
     }
+    if outcome.cases.iter().any(|c| c.limits.is_some()) {
+        text.push_str(&format!("\n{}\n{LIMITS_EXPLAINED}\n", arranged(&limits(outcome))));
+    }
     for skipped in &outcome.skipped {
         text.push_str(&format!("skipped {}: {}\n", skipped.name, skipped.reason));
     }
@@ -58,6 +61,32 @@ fn rows(outcome: &SuiteOutcome, rivals: &[&str]) -> Vec<Vec<String>> {
     }
     let overall = rivals.iter().map(|r| optional(standing_of(&outcome.standings, r).map(|s| s.relative_deficit), 2));
     rows.push([vec!["all cases".to_owned(), String::new(), String::new()], overall.collect()].concat());
+    rows
+}
+
+/// How to read the table of limits.
+const LIMITS_EXPLAINED: &str = "Mean quality of foresight as a share of the proven upper bound, and where the rest is: known path \
+    and link instead of predicted ones, no latency and no decoding, and last what greed loses and the bound is too high by.";
+
+/// What keeps foresight from the bound: a heading, a row a case, their mean.
+fn limits(outcome: &SuiteOutcome) -> Vec<Vec<String>> {
+    let headings = ["limits", "foresight", "bound", "share %", "prediction", "client", "greed, bound"];
+    let mut rows = vec![headings.iter().map(|h| (*h).to_owned()).collect::<Vec<_>>()];
+    let row = |name: &str, of: Option<Limits>| {
+        let cell = |value: fn(&Limits) -> f64, digits| optional(of.as_ref().map(value), digits);
+        vec![
+            name.to_owned(),
+            cell(|l| l.foresight, 3),
+            cell(|l| l.bound, 3),
+            cell(|l| l.share * 100.0, 1),
+            cell(|l| l.prediction, 4),
+            cell(|l| l.client, 4),
+            cell(|l| l.greedy_and_bound, 4),
+        ]
+    };
+    rows.extend(outcome.cases.iter().map(|case| row(case.name, case.limits)));
+    let all: Vec<Limits> = outcome.cases.iter().filter_map(|c| c.limits).collect();
+    rows.push(row("all cases", Limits::mean(&all)));
     rows
 }
 
@@ -181,6 +210,13 @@ pub fn suite_page(outcome: &SuiteOutcome) -> String {
                         @for case in outcome.cases.iter().filter(|c| c.due == Due::Tie) { p.note { (due(case)) "." } }
                         @for skipped in &outcome.skipped { p.note { "Skipped: " b { (skipped.name) } ", " (printable(&skipped.reason, 400)) } }
                     }
+                    @if outcome.cases.iter().any(|c| c.limits.is_some()) {
+                        section id="limits" {
+                            h2 { "What limits foresight" }
+                            p.how { (LIMITS_EXPLAINED) }
+                            (plain(&limits(outcome)))
+                        }
+                    }
                     @for case in &outcome.cases { (section(case)) }
                 }
             }
@@ -261,6 +297,25 @@ fn matrix(outcome: &SuiteOutcome) -> Markup {
                         td {}
                         @for rival in &rivals {
                             td { (optional(standing_of(&outcome.standings, rival).map(|s| s.relative_deficit), 2)) }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Rows as a table, heading first and all cases last.
+fn plain(rows: &[Vec<String>]) -> Markup {
+    html! {
+        div.scroll tabindex="0" role="region" aria-label="What limits foresight, case by case" {
+            table {
+                thead { tr { @for cell in &rows[0] { th scope="col" { (cell) } } } }
+                tbody {
+                    @for (index, row) in rows.iter().enumerate().skip(1) {
+                        tr.goal[index + 1 == rows.len()] {
+                            th scope="row" { (row[0]) }
+                            @for cell in &row[1..] { td { (cell) } }
                         }
                     }
                 }

@@ -102,6 +102,12 @@ fn footer(comparison: &Comparison) -> Vec<String> {
     if !comparison.upper_bound.method.is_empty() {
         lines.push(format!("bound     {}", printable(&comparison.upper_bound.method, 400)));
     }
+    if let Some(prices) = &comparison.shadow_prices {
+        lines.push(format!("worth     {}", super::prices::sentence(prices)));
+    }
+    if let Some(limits) = &comparison.limits {
+        lines.push(format!("limits    {}", limits.sentence()));
+    }
     lines.push(format!(
         "pressure  λ {}  ρ {} ({})  μ {}  frames with something in view {} %",
         significant(pressure.lambda),

@@ -5,8 +5,8 @@ use quick_xml::events::Event;
 
 use super::*;
 use crate::outcome::{
-    Arrival, DecisionNanos, Inputs, Interval, Intervals, PolicyOutcome, PolicySeries, Pressure, SCHEMA_VERSION, Series,
-    UpperBound,
+    Arrival, DecisionNanos, Inputs, Interval, Intervals, Limits, PolicyOutcome, PolicySeries, Pressure, SCHEMA_VERSION,
+    Series, ShadowPrices, UpperBound,
 };
 
 const NAMES: [&str; 5] = ["foresight", "foresight,alpha=1", "screen-space-error", "distance", "lru-random"];
@@ -49,7 +49,19 @@ fn synthetic() -> Comparison {
         upper_bound: UpperBound {
             mean_quality: Some(0.951),
             method: "per frame, within the bytes deliverable".to_owned(),
+            by_frame: Some(0.951),
+            over_time: Some(0.957),
         },
+        shadow_prices: Some(ShadowPrices {
+            interval_s: 1.0,
+            per_mbit_s: (0..120).map(|s| 1e-4 / f64::from(s + 1)).collect(),
+            per_mib: vec![2e-6; 120],
+            per_mbit_s_throughout: 5.4e-4,
+            per_mib_throughout: 2.4e-4,
+            per_percent_of_link: 1.5e-4,
+            per_percent_of_memory: 1.2e-4,
+        }),
+        limits: Some(Limits::new(0.9, 0.92, 0.93, 0.951)),
         policies: Vec::new(),
         warnings: vec!["5.0 % of the frames have nothing in view".to_owned()],
         series: Series {
@@ -151,6 +163,8 @@ fn empty() -> Comparison {
         pressure: Pressure::default(),
         nonempty_share: 0.0,
         upper_bound: UpperBound::default(),
+        shadow_prices: None,
+        limits: None,
         policies: Vec::new(),
         warnings: Vec::new(),
         series: Series::default(),

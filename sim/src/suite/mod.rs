@@ -7,7 +7,7 @@ mod standing;
 #[cfg(test)]
 mod tests;
 
-use crate::outcome::Comparison;
+use crate::outcome::{Comparison, Limits};
 use serde::Serialize;
 use std::path::Path;
 
@@ -89,6 +89,8 @@ pub struct CaseOutcome {
     pub due: Due,
     /// `foresight` against each rival.
     pub standings: Vec<Standing>,
+    /// What keeps `foresight` from the upper bound, mean over the replays that tell; `None` where none does.
+    pub limits: Option<Limits>,
     /// One a replay.
     pub replays: Vec<ReplayOutcome>,
 }
@@ -123,7 +125,9 @@ impl CaseOutcome {
     /// A case's replays, with `foresight` set against each rival.
     pub fn new(case: &Case, replays: Vec<ReplayOutcome>) -> CaseOutcome {
         let standings = standing::of_case(&replays.iter().map(|r| &r.comparison).collect::<Vec<_>>());
-        CaseOutcome { name: case.name, why: case.why, shows: case.shows, due: case.due, standings, replays }
+        let limits: Vec<Limits> = replays.iter().filter_map(|r| r.comparison.limits).collect();
+        let limits = Limits::mean(&limits);
+        CaseOutcome { name: case.name, why: case.why, shows: case.shows, due: case.due, standings, limits, replays }
     }
 
     /// The rivals with which `foresight` is not level although a tie is due.

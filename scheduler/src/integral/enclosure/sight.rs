@@ -253,20 +253,27 @@ impl Scene<'_> {
     fn clipped_solid_angle(&self, centre: &Vector, half: DVec3, planes: &[Vector]) -> Option<Model> {
         let most = self.frustum.high();
         let mut beyond = 0u8;
+        // Distance to the box along the axes that are clear, and how far the eye may lie beyond the others.
+        let (mut gap, mut unclear) = (0.0f64, 0.0f64);
         for k in 0..3 {
             let reach = centre[k].abs();
             if reach.low() > half[k] {
                 beyond |= 1 << k;
+                gap = gap.max((reach.low() - half[k]) * (1.0 - LIBM));
             } else if reach.high() > half[k] {
-                return Some(self.around(centre, half));
+                unclear = unclear.max((reach.high() - half[k]) * (1.0 + LIBM));
             }
         }
         if beyond == 0 {
-            return Some(self.frustum);
+            return Some(if unclear > 0.0 { self.around(centre, half) } else { self.frustum });
         }
         let mut polygon: Vec<Corner> = outline(centre, half, beyond);
         let sense = orientation(&polygon);
-        let mut moved = 0.0;
+        // A box grown by as much as is unclear has this outline, with corners moved by that; asin(x) ≤ (π/2)·x.
+        let mut moved = if unclear > 0.0 { 2.0 * 1.571 * (unclear / gap) * (1.0 + LIBM) } else { 0.0 };
+        if moved > 1.0 {
+            return Some(self.around(centre, half));
+        }
         let sine = cap_sine(centre, half);
         for plane in planes {
             let (kept, by) = clipped(&polygon, plane)?;

@@ -262,8 +262,10 @@ impl Sampled {
                 continue;
             }
             // Below the next one's bound? Then it has to wait for its turn again.
-            if self.candidates.peek().is_some_and(|next| next.ratio > ratio) && ratio < top.ratio {
-                self.candidates.push(Candidate { ratio, gain, seen, ..top });
+            // Of equals, the lower id goes first.
+            let evaluated = Candidate { ratio, gain, seen, ..top };
+            if ratio < top.ratio && self.candidates.peek().is_some_and(|next| *next > evaluated) {
+                self.candidates.push(evaluated);
                 continue;
             }
             let need: u64 = members.iter().map(|&m| state.request_bytes(m)).sum();

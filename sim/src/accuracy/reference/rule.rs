@@ -37,6 +37,18 @@ pub(super) fn rule() -> &'static [(TwoFloat, TwoFloat)] {
     &RULE
 }
 
+/// What the interpolant through values at the nodes takes at −1 and at 1.
+pub(super) fn at_ends(values: &[f64]) -> [f64; 2] {
+    static ENDS: LazyLock<Vec<[f64; 2]>> = LazyLock::new(|| {
+        let nodes: Vec<f64> = rule().iter().map(|(node, _)| node.hi()).collect();
+        let lagrange = |i: usize, at: f64| {
+            (0..NODES).filter(|&j| j != i).map(|j| (at - nodes[j]) / (nodes[i] - nodes[j])).product::<f64>()
+        };
+        (0..NODES).map(|i| [lagrange(i, -1.0), lagrange(i, 1.0)]).collect()
+    });
+    ENDS.iter().zip(values).fold([0.0; 2], |sum, (l, value)| [sum[0] + l[0] * value, sum[1] + l[1] * value])
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -104,7 +104,7 @@ impl Scene<'_> {
                 for plane in &planes {
                     let height = dot(plane, &centre);
                     let extent = plane[0].abs() * half[0] + plane[1].abs() * half[1] + plane[2].abs() * half[2];
-                    weight = weight * share(height, extent);
+                    weight *= share(height, extent);
                 }
                 weight
             }
@@ -119,7 +119,7 @@ impl Scene<'_> {
             weight = ratio(weight, ratio(across * cut.centre_falloff, along * along) + 1.0);
         }
         if *attenuation > 0.0 {
-            weight = weight * exp((seconds + leg.from_s()) * -attenuation);
+            weight *= exp((seconds + leg.from_s()) * -attenuation);
         }
         let distance = match target.form() {
             Form::Group => floored,
@@ -251,7 +251,7 @@ fn polygon(corners: &[Vector]) -> TwoFloat {
     let unit = 1.0 / longest.sqrt();
     let scaled = |v: &Vector| v.map(|x| x * unit);
     let a = scaled(a);
-    let rest: Vec<(Vector, TwoFloat)> = rest.iter().map(|c| scaled(c)).map(|c| (c, dot(&c, &c).sqrt())).collect();
+    let rest: Vec<(Vector, TwoFloat)> = rest.iter().map(scaled).map(|c| (c, dot(&c, &c).sqrt())).collect();
     let length = dot(&a, &a).sqrt();
     let (mut re, mut im) = (double(1.0), double(0.0));
     for pair in rest.windows(2) {

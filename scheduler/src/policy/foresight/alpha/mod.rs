@@ -21,6 +21,10 @@ use pool::Pool;
 /// Quality of the worst case that [`AlphaRule::Solved`] asks for unless told otherwise.
 pub const AT_LEAST: f64 = 0.6;
 
+/// Largest α that is solved for or adapted to. At α = 1 a client whose predicted paths are served has nothing to fetch,
+/// and what it has off them is worth nothing to it; this little keeps the worst case as what comes next.
+pub const ALPHA_MAX: f64 = 0.98;
+
 /// Longest time that one sampling stands for, seconds: what came before a pause says nothing about the pause.
 const STEP_S_MAX: f64 = 1.0;
 
@@ -48,7 +52,7 @@ pub enum Constraint {
     Converging,
     /// The running mean is within the tolerance of Q_min.
     Met,
-    /// The running mean is above Q_min although α = 1: the constraint costs nothing.
+    /// The running mean is above Q_min although α = [`ALPHA_MAX`]: the constraint costs nothing.
     Slack,
     /// The running mean stays below Q_min although α = 0.
     Infeasible,

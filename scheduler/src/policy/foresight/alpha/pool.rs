@@ -10,10 +10,10 @@
 //! ```
 //!
 //! over the patches i of the true view; what neither foresaw says nothing about either and is left out of both sums, and
-//! where both say the same, α stays. P and U count in sr, as in the objective, so that a prediction that looks into the
+//! where both say the same, α stays. Neither is ever given up: α stays within 1 − [`super::ALPHA_MAX`] and that. P and U count in sr, as in the objective, so that a prediction that looks into the
 //! void claims nothing. Parts of a patch are compared by area.
 
-use super::Sampled;
+use super::{ALPHA_MAX, Sampled};
 use crate::benefit::cut::{Cut, CutSettings, Region};
 use crate::lod_tree::{LodTree, NodeId};
 use crate::predict::PredictedPath;
@@ -23,8 +23,6 @@ use std::collections::VecDeque;
 
 /// Share of the old α that a judgement leaves; the first ones are averaged evenly.
 const KEPT: f64 = 0.95;
-/// Neither part is ever given up: α is at least this and at most 1 minus this.
-const LEAST: f64 = 0.02;
 /// Views of a path that are judged, at most.
 const JUDGED_MAX: usize = 4;
 /// Predictions that wait to be judged, at most.
@@ -59,7 +57,7 @@ pub(super) struct Pool {
 
 impl Pool {
     pub(super) fn new(alpha: f64) -> Pool {
-        let alpha = alpha.clamp(LEAST, 1.0 - LEAST);
+        let alpha = alpha.clamp(1.0 - ALPHA_MAX, ALPHA_MAX);
         Pool { alpha, judged: 0, pending: VecDeque::new(), seen: Cut::default(), cuts: Vec::new() }
     }
 
@@ -111,7 +109,7 @@ impl Pool {
                     self.judged = self.judged.saturating_add(1);
                     let kept = KEPT.min(1.0 - 1.0 / (f64::from(self.judged) + 1.0));
                     let step = (1.0 - kept) * libm::exp(-prediction.attenuation * offset);
-                    self.alpha = (self.alpha + step * (explained - self.alpha)).clamp(LEAST, 1.0 - LEAST);
+                    self.alpha = (self.alpha + step * (explained - self.alpha)).clamp(1.0 - ALPHA_MAX, ALPHA_MAX);
                 }
             }
         }

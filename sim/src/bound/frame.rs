@@ -12,7 +12,7 @@
 //! over the tree: what a subtree is worth depends on what lies outside only through the least error above it. Relaxed
 //! upwards: requests, latency (constant or varying), failed requests, decoding, prerequisites and sibling groups cost
 //! nothing, and beneath a group too small to open, any part can be shown perfectly at the least bytes per weight that any
-//! representation there has.
+//! representation there has. What alone exceeds a limit is in no set.
 
 use foresight_scheduler::benefit::accuracy::accuracy;
 use foresight_scheduler::benefit::cut::{Cut, projected_area};
@@ -26,20 +26,20 @@ pub const METHOD: &str =
 
 /// Groups with more than this share of the frame's weight are opened.
 const OPEN_SHARE: f64 = 1e-3;
-/// Multipliers are this grid: λ_i = LEAST·STEP^i. Between two neighbours the bound is at most a few per mille loose.
+/// Multipliers are 0 and this grid: λ_i = LEAST·STEP^i. Between two neighbours the bound is at most a few per mille loose.
 const LEAST: f64 = 1e-13;
 const STEP: f64 = 1.3;
 const GRID: usize = 144;
 /// A chain with more options than this makes a frame's bound the trivial 1.
 const OPTIONS_MAX: usize = 256;
 /// Rounding of single-precision areas, added so that it stays a bound.
-const ROUNDING: f64 = 1e-5;
+pub(super) const ROUNDING: f64 = 1e-5;
 
 /// Least bytes per square metre, by axis, of what lies strictly beneath each node.
 #[derive(Clone, Debug)]
 pub struct CheapestBeneath {
-    wire: Vec<[f32; 3]>,
-    decoded: Vec<[f32; 3]>,
+    pub(super) wire: Vec<[f32; 3]>,
+    pub(super) decoded: Vec<[f32; 3]>,
 }
 
 impl CheapestBeneath {
@@ -77,6 +77,17 @@ pub struct Limits {
     pub memory: f64,
 }
 
+/// The bound of a frame with the prices that prove it: at most one of them is positive.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct FrameDual {
+    /// Upper bound of Q.
+    pub value: f64,
+    /// λ: quality per byte of link.
+    pub wire: f64,
+    /// λ: quality per byte of memory.
+    pub memory: f64,
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Resource {
     Wire,
@@ -108,7 +119,10 @@ pub struct FrameBound<'a> {
     errors: Vec<f64>,
     values: Vec<f64>,
     too_deep: bool,
-    memo: [BTreeMap<usize, f64>; 2],
+    /// Bytes of every representation in it, ascending: how many exceed a limit says which.
+    bytes: [Vec<u32>; 2],
+    /// Relaxed values by resource, then by multiplier and the numbers of representations that fit each limit.
+    memo: [BTreeMap<(usize, [usize; 2]), f64>; 2],
 }
 
 impl<'a> FrameBound<'a> {
@@ -123,6 +137,7 @@ impl<'a> FrameBound<'a> {
             errors: Vec::new(),
             values: Vec::new(),
             too_deep: false,
+            bytes: [Vec::new(), Vec::new()],
             memo: [BTreeMap::new(), BTreeMap::new()],
         };
         // Items whose subtree the walk is in, innermost last.
@@ -167,6 +182,13 @@ impl<'a> FrameBound<'a> {
                 next = tree.subtree_end(next);
             }
         }
+        for item in &bound.items {
+            for rep in tree.own(item.node) {
+                bound.bytes[0].push(tree.wire_bytes(rep) as u32);
+                bound.bytes[1].push(tree.decoded_bytes(rep) as u32);
+            }
+        }
+        bound.bytes.iter_mut().for_each(|bytes| bytes.sort_unstable());
         Some(bound)
     }
 
@@ -209,8 +231,8 @@ impl<'a> FrameBound<'a> {
         place
     }
 
-    /// max_R [ Q_R − λ·cost(R) ].
-    fn relaxed(&mut self, lambda: f64, resource: Resource) -> f64 {
+    /// max_R [ Q_R − λ·cost(R) ] over what each fits the limits.
+    fn relaxed(&mut self, lambda: f64, resource: Resource, limits: Limits) -> f64 {
         let tree = self.tree;
         self.values.clear();
         self.values.resize(self.errors.len(), 0.0);
@@ -231,12 +253,11 @@ impl<'a> FrameBound<'a> {
             for option in 0..item.inherited {
                 let mut best = values[item.first + option];
                 for (i, rep) in own.clone().enumerate() {
-                    if errors[item.inherited + i] < errors[option] {
-                        let bytes = match resource {
-                            Resource::Wire => tree.wire_bytes(rep),
-                            Resource::Memory => tree.decoded_bytes(rep),
-                        };
-                        best = best.max(values[item.first + item.inherited + i] - lambda * bytes as f64);
+                    let (wire, decoded) = (tree.wire_bytes(rep) as f64, tree.decoded_bytes(rep) as f64);
+                    let fits = wire <= limits.wire && decoded <= limits.memory;
+                    if fits && errors[item.inherited + i] < errors[option] {
+                        let bytes = if resource == Resource::Wire { wire } else { decoded };
+                        best = best.max(values[item.first + item.inherited + i] - lambda * bytes);
                     }
                 }
                 if item.parent == place {
@@ -249,43 +270,63 @@ impl<'a> FrameBound<'a> {
         root
     }
 
-    fn dual(&mut self, step: usize, limit: f64, resource: Resource) -> f64 {
-        let lambda = LEAST * libm::pow(STEP, step as f64);
-        let which = if resource == Resource::Wire { 0 } else { 1 };
-        let relaxed = match self.memo[which].get(&step) {
+    fn dual(&mut self, step: usize, limits: Limits, resource: Resource) -> f64 {
+        let lambda = multiplier(step);
+        let (which, limit) = match resource {
+            Resource::Wire => (0, limits.wire),
+            Resource::Memory => (1, limits.memory),
+        };
+        let fitting = |bytes: &[u32], limit: f64| bytes.partition_point(|&b| f64::from(b) <= limit);
+        let key = (step, [fitting(&self.bytes[0], limits.wire), fitting(&self.bytes[1], limits.memory)]);
+        let relaxed = match self.memo[which].get(&key) {
             Some(&known) => known,
             None => {
-                let relaxed = self.relaxed(lambda, resource);
-                self.memo[which].insert(step, relaxed);
+                let relaxed = self.relaxed(lambda, resource, limits);
+                self.memo[which].insert(key, relaxed);
                 relaxed
             }
         };
         lambda * limit + relaxed
     }
 
-    /// The least dual over the grid: it is convex in λ, so halving finds it.
-    fn least_dual(&mut self, limit: f64, resource: Resource) -> f64 {
+    /// The least dual over the grid, with its multiplier: it is convex in λ, so halving finds it.
+    fn least_dual(&mut self, limits: Limits, resource: Resource) -> (f64, f64) {
         let (mut low, mut high) = (0, GRID - 1);
         while low < high {
             let middle = (low + high) / 2;
-            if self.dual(middle, limit, resource) <= self.dual(middle + 1, limit, resource) {
+            if self.dual(middle, limits, resource) <= self.dual(middle + 1, limits, resource) {
                 high = middle;
             } else {
                 low = middle + 1;
             }
         }
-        self.dual(low, limit, resource)
+        (self.dual(low, limits, resource), multiplier(low))
     }
 
     /// Upper bound of Q for this frame.
     pub fn bound(&mut self, limits: Limits) -> f64 {
-        if self.too_deep {
-            return 1.0;
-        }
-        let wire = self.least_dual(limits.wire, Resource::Wire);
-        let memory = self.least_dual(limits.memory, Resource::Memory);
-        (wire.min(memory) + ROUNDING).clamp(0.0, 1.0)
+        self.prove(limits).value
     }
+
+    /// Upper bound of Q for this frame, and what one more byte of link or memory would add to it.
+    pub fn prove(&mut self, limits: Limits) -> FrameDual {
+        if self.too_deep {
+            return FrameDual { value: 1.0, ..FrameDual::default() };
+        }
+        let (by_wire, wire) = self.least_dual(limits, Resource::Wire);
+        let (by_memory, memory) = self.least_dual(limits, Resource::Memory);
+        let value = by_wire.min(by_memory) + ROUNDING;
+        match value {
+            v if v >= 1.0 => FrameDual { value: 1.0, ..FrameDual::default() },
+            v if by_wire <= by_memory => FrameDual { value: v.max(0.0), wire, memory: 0.0 },
+            v => FrameDual { value: v.max(0.0), wire: 0.0, memory },
+        }
+    }
+}
+
+/// λ of a step of the grid, quality per byte; the first is 0, for limits without end.
+fn multiplier(step: usize) -> f64 {
+    if step == 0 { 0.0 } else { LEAST * libm::pow(STEP, step as f64) }
 }
 
 /// Least bytes per unit of weight: r at node m costs M_r ≥ β_i·A_i(m) for every axis i, so its weight
