@@ -6,7 +6,7 @@ use crate::flight::{Flight, TICKS_PER_FRAME, tick_time};
 use crate::link::LinkTrace;
 use crate::outcome::{
     AlphaOutcome, Arrival, Comparison, Inputs, Interval, Intervals, Limits, PolicyOutcome, PolicySeries, Pressure,
-    SCHEMA_VERSION, Series, ShadowPrices, UpperBound,
+    RegretOutcome, SCHEMA_VERSION, Series, ShadowPrices, UpperBound,
 };
 use crate::policies::PolicySpec;
 use crate::pressure::Needs;
@@ -328,6 +328,7 @@ fn outcome(spec: &PolicySpec, runs: &[Run]) -> PolicyOutcome {
         evictions: average(|f| f.evictions).unwrap_or(0.0),
         decisions: average(|f| f.decisions).unwrap_or(0.0),
         decision_ns: percentiles(&mut nanos),
+        regret: RegretOutcome::of(runs.iter().flat_map(|r| r.regrets.iter().copied()).collect()),
         alpha: spec.alpha_rule().and_then(|rule| AlphaOutcome::of(rule, runs)),
         interval: (runs.len() > 1).then(|| Intervals {
             mean_quality: spread(|f| f.mean_quality),

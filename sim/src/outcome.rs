@@ -217,12 +217,38 @@ pub struct PolicyOutcome {
     pub decisions: f64,
     /// How long decisions took.
     pub decision_ns: DecisionNanos,
+    /// What the choices may have missed, by a policy that proves it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub regret: Option<RegretOutcome>,
     /// What became of α, where it is not fixed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub alpha: Option<AlphaOutcome>,
     /// Present with several starts.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub interval: Option<Intervals>,
+}
+
+/// Share of the best ratio of gain to link time that a decision's last choice may have missed, as proven. With memory full
+/// the bound leaves out what making room costs, and is loose.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct RegretOutcome {
+    /// Median over the decisions.
+    pub p50: f64,
+    /// 99th percentile, by nearest rank.
+    pub p99: f64,
+    /// Share of the decisions that were cut short by their limit on evaluations.
+    pub cut_short: f64,
+}
+
+impl RegretOutcome {
+    /// Over decisions as (regret, cut short); `None` of nothing.
+    pub fn of(mut decisions: Vec<(f64, bool)>) -> Option<RegretOutcome> {
+        decisions.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let count = decisions.len();
+        let rank = |percent: usize| decisions.get((count * percent).div_ceil(100).saturating_sub(1)).map(|d| d.0);
+        let cut_short = decisions.iter().filter(|d| d.1).count() as f64 / count.max(1) as f64;
+        Some(RegretOutcome { p50: rank(50)?, p99: rank(99)?, cut_short })
+    }
 }
 
 /// What became of α. Means over the starts where there are several.

@@ -133,7 +133,7 @@ pub enum PolicySpecError {
 }
 
 const OBJECTIVE_OPTIONS: &str = "alpha, at-least, watch, predictor, discards, arrival, cover, horizon, reuse, hysteresis, attenuation, \
-                                 samples, opening, falloff, choice, tolerance, grouping, slack, turn-rate, speed, request-cost, \
+                                 samples, opening, falloff, choice, tolerance, evaluations, grouping, slack, turn-rate, speed, request-cost, \
                                  worst, neighbourhood or clearance";
 
 impl PolicySpec {
@@ -247,6 +247,7 @@ impl PolicySpec {
                 }
             }
             "tolerance" => s.tolerance = number(0.0, 1.0, "a share from 0 to 1")?,
+            "evaluations" => s.evaluations = number(1.0, 1e9, "a count from 1 to 1000000000")? as u64,
             "grouping" => s.grouping = number(0.0, 1.0, "a share from 0 to 1")?,
             "turn-rate" | "speed" => {
                 let mut speeds = s.reach.declared.unwrap_or_default();

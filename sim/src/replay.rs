@@ -124,6 +124,8 @@ pub struct Run {
     pub decisions: u64,
     /// Real time that such ticks took the scheduler.
     pub decision_nanos: Vec<u64>,
+    /// What each of these decisions may have missed, and whether it was cut short; empty of a policy that proves nothing.
+    pub regrets: Vec<(f64, bool)>,
     /// What became of α, for a policy that has one.
     pub alpha: Option<AlphaReport>,
 }
@@ -234,6 +236,7 @@ impl Replay<'_> {
         if acted > 0 {
             self.run.decisions += 1;
             self.run.decision_nanos.push(watch.nanos());
+            self.run.regrets.extend(self.scheduler.certificate().map(|c| (c.regret, c.cut_short)));
         }
         if tick.is_multiple_of(TICKS_PER_FRAME) {
             self.judge((tick / TICKS_PER_FRAME) as usize, total);

@@ -219,6 +219,9 @@ impl Policy for Foresight {
             self.covered = false;
         }
         self.predictor.observe(view, now);
+        if let Some(method) = &mut self.method {
+            method.observed();
+        }
     }
 
     fn decide(&mut self, state: &ClientState, now: Time) -> Action {

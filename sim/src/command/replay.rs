@@ -33,7 +33,7 @@ const BUILT_IN_STARTS: u32 = 4;
     foresight-sim replay --policy foresight,foresight:alpha=1:predictor=true-path,clairvoyant\n  foresight-sim replay --error-target best --link constant:5Mbit,40ms\n\n\
     A policy takes options after colons:\n  foresight, added-benefit, clairvoyant: alpha (0 to 1, adapted, or solved with at-least=Q), watch (on: W/Σw is measured), predictor (constant-velocity, constant-turn, kalman, mixture, known-path,\n    \
     true-path), discards (planned, lru), arrival (on, off), cover (on, off), horizon, reuse, hysteresis, attenuation, samples,\n    \
-    opening, falloff, choice (certified, sampled), tolerance, grouping, slack, turn-rate and speed (declared, rad/s and m/s), request-cost,\n    \
+    opening, falloff, choice (certified, sampled), tolerance, evaluations, grouping, slack, turn-rate and speed (declared, rad/s and m/s), request-cost,\n    \
      worst (union, minimum), neighbourhood (free, walk, orbit, path), clearance\n  the rivals: target (pixels, where it has one), parallel\n  \
      foresight-adapted and foresight-solved, not in all, are foresight:alpha=adapted and foresight:alpha=solved"
 )]

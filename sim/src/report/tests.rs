@@ -119,6 +119,7 @@ fn policy(
         evictions: 212.0 * rank,
         decisions: 900.0,
         decision_ns: DecisionNanos { p50: 41_300, p99: 388_000, max: 2_100_000 },
+        regret: None,
         interval: Some(Intervals {
             mean_quality: around(mean, 0.012),
             mean_deficit: around(mean, 0.012),

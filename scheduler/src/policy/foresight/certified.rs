@@ -13,8 +13,8 @@ use crate::state::{ClientState, Status};
 use crate::view::View;
 use std::collections::BTreeMap;
 
-/// Evaluations of one decision; then the best found so far is taken.
-const EVALUATIONS_MAX: u64 = 6_000;
+/// Evaluations that one choice has in any case.
+const EVALUATIONS_MIN: u64 = 20;
 /// Candidates whose discards are worked out for one decision; the rest are worse even without any loss.
 const SWAPS_WEIGHED: usize = 12;
 /// Losses are watched from when less than this share of memory is free.
@@ -36,6 +36,8 @@ pub(super) struct CertifiedChoice {
     seen: Option<Cut>,
     /// Gain and cost of what was requested since the objective was sampled.
     taken: (f64, f64),
+    /// Evaluations made by the search before the latest observation.
+    evaluations_before: u64,
     certificate: Option<Certificate>,
 }
 
@@ -102,7 +104,8 @@ impl CertifiedChoice {
         self.restart(ask, standing);
         let state = cx.state;
         let (evaluations, opened) = (self.search.evaluations(), self.search.nodes_opened());
-        let evaluations_max = evaluations + EVALUATIONS_MAX;
+        let evaluations_max = (self.evaluations_before + cx.settings.evaluations).max(evaluations + EVALUATIONS_MIN);
+        let mut least_loss = f64::INFINITY;
         let mut best: Option<(Choice, f64)> = None;
         let mut passed_over = Vec::new();
         for weighed in 0..=SWAPS_WEIGHED {
@@ -113,16 +116,25 @@ impl CertifiedChoice {
             let free = state.free_bytes();
             let (discards, loss) = if need <= free {
                 (Vec::new(), 0.0)
-            } else if weighed == SWAPS_WEIGHED {
+            } else if weighed == SWAPS_WEIGHED || best.is_some() && self.search.evaluations() >= evaluations_max {
                 passed_over.push(ranked);
                 break;
             } else {
+                // What the room costs, if it costs what it cost the others: not worth working out if that is too much.
+                let guess = (ranked.gain - least_loss * (need - free) as f64) / ranked.cost;
+                if best.is_some() && guess < floor {
+                    passed_over.push(ranked);
+                    continue;
+                }
                 match self.swap(cx, ask, standing, &ranked, need - free) {
                     Some(swap) => swap,
                     // It cannot gain before the next sampling; discards since then only make it worse.
                     None => continue,
                 }
             };
+            if need > free {
+                least_loss = least_loss.min(loss / (need - free) as f64);
+            }
             let net = (ranked.gain - loss) / ranked.cost;
             passed_over.push(ranked.clone());
             if net > floor {
@@ -190,7 +202,8 @@ impl CertifiedChoice {
         let wire: u64 = members.iter().map(|&m| tree.wire_bytes(m)).sum();
         let offset = ask.link.arrival_of(wire);
         let (search, residents) = (&mut self.search, &mut self.residents);
-        let chosen = residents.choose(ask, search, standing, &replaced, bytes, offset, limit, planned, &may_go);
+        let chosen =
+            residents.choose(ask, search, standing, &replaced, bytes, offset, limit, planned, &may_go, members);
         for &member in members.iter().rev() {
             standing.remove(tree, member);
         }
@@ -229,6 +242,10 @@ impl Choose for CertifiedChoice {
         });
     }
 
+    fn observed(&mut self) {
+        self.evaluations_before = self.search.evaluations();
+    }
+
     fn forget(&mut self) {
         self.stale = true;
     }
@@ -264,7 +281,7 @@ impl Choose for CertifiedChoice {
         first_pointless(cx, |_, _| true)?;
         self.with_ask(cx, |this, ask, standing| {
             this.restart(ask, standing);
-            let evaluations_max = this.search.evaluations() + EVALUATIONS_MAX;
+            let evaluations_max = this.search.evaluations() + cx.settings.evaluations;
             let best = this.search.next(ask, standing, Stop { tolerance: 0.1, floor: 0.0, evaluations_max });
             if let Some(best) = &best {
                 this.search.give_back(best);

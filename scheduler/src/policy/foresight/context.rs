@@ -88,6 +88,8 @@ pub(super) trait Choose: Send {
     /// Something is planned or discarded by an action of this policy.
     fn added(&mut self, cx: &Context, rep: RepId);
     fn removed(&mut self, cx: &Context, rep: RepId);
+    /// The camera has moved: what follows is a new decision.
+    fn observed(&mut self) {}
     /// The planned set has changed otherwise: it has to be read anew. The next call is [`Choose::sample`].
     fn forget(&mut self);
     /// At the start: the coarsest representation of what weighs most and is covered by nothing.

@@ -52,6 +52,9 @@ pub struct ForesightSettings {
     pub choice: ChoiceMethod,
     /// Share of the best ratio that a certified choice may miss.
     pub tolerance: f64,
+    /// Nodes that a certified choice may look at between two observations; then the best found so far is taken, with what
+    /// it may miss, and the search goes on at the next.
+    pub evaluations: u64,
     /// Sampled choice: groups are opened until what could be gained beneath is this share of a typical gain. Where every
     /// choice is worth much, little things are not looked at; where only little things are left, they are.
     pub grouping: f64,
@@ -89,6 +92,7 @@ impl Default for ForesightSettings {
             cut: CutSettings { opening: 0.3, near: 0.1, centre_falloff: 0.0 },
             choice: ChoiceMethod::Certified,
             tolerance: 1e-3,
+            evaluations: 6_000,
             grouping: 0.1,
             reach: Reach::default(),
             neighbourhood: NeighbourhoodKind::Free,

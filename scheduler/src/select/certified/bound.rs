@@ -1,6 +1,7 @@
 //! Upper bounds for what lies in a box: nearest distance, frustum, area per byte and least error.
 
 use super::objective::Objective;
+use crate::benefit::frustum::Side;
 use crate::lod_tree::Beneath;
 use glam::DVec3;
 
@@ -77,21 +78,24 @@ impl Objective {
         out.clear();
         out.resize(targets.len(), 0.0);
         let mut seen = 0;
+        // Summed shares of the frusta that see the box from one place.
+        let mut place: Option<(usize, f64)> = None;
         for (i, term) in self.terms.iter().enumerate() {
             if mask & bit(i) == 0 {
                 continue;
             }
-            let centre = centre - term.eye.frustum.eye;
+            let relative = centre - term.eye.frustum.eye;
             let reachable = term.eye.is_reachable();
             if reachable {
-                // A hair wider, so that rounding cannot tell a box from its parts.
-                let wide = half * (1.0 + 1e-9) + centre.abs() * 1e-12;
-                if term.eye.side(centre, wide) == crate::benefit::frustum::Side::Outside {
+                // The test is of the sphere around the box, and those around its parts reach out of it: none farther than √2
+                // times its radius. A hair more, so that rounding cannot tell a box from its parts.
+                let wide = half * (core::f64::consts::SQRT_2 * (1.0 + 1e-9)) + relative.abs() * 1e-12;
+                if term.eye.side(relative, wide) == Side::Outside {
                     continue;
                 }
             } else if term.planes.iter().any(|(plane, abs)| {
                 let extent = abs.dot(half);
-                plane.dot(centre) < -extent - 1e-12 * (abs.dot(centre.abs()) + extent)
+                plane.dot(relative) < -extent - 1e-12 * (abs.dot(relative.abs()) + extent)
             }) {
                 continue;
             }
@@ -99,34 +103,61 @@ impl Objective {
             if weights[i] <= 0.0 {
                 continue;
             }
-            let delta = (centre.abs() - half).max(DVec3::ZERO);
-            let squared = delta.length_squared();
-            let distance = squared.sqrt();
-            let shown_from = term.eye.shown_distance(distance);
-            if distance <= 0.0 || (!reachable && shown_from > distance) {
-                out.fill(f64::INFINITY);
+            if reachable {
+                self.bound_from(i, weights[i], relative, half, targets, out);
                 continue;
             }
-            // Largest cosine between the directions into the box and each axis.
-            let cosines = ((centre.abs() + half) / distance).min(DVec3::ONE);
-            let share = weights[i] / squared;
-            if reachable {
-                let s = term.sharpness / (shown_from * shown_from);
-                for (bound, target) in out.iter_mut().zip(targets) {
-                    *bound += share * target.density.dot(cosines) * target.added_up_to(s);
+            place = match place {
+                Some((first, sum)) if self.is_same_place(first, i) => Some((first, sum + weights[i])),
+                before => {
+                    if let Some((first, sum)) = before {
+                        self.bound_from(first, sum, centre - self.terms[first].eye.frustum.eye, half, targets, out);
+                    }
+                    Some((i, weights[i]))
                 }
-            } else {
-                // Weight × accuracy added is s·Δa(s) up to constants, which rises with s: nearest counts most.
-                let s = term.sharpness / squared;
-                for (bound, target) in out.iter_mut().zip(targets) {
-                    *bound += share * target.density.dot(cosines) * target.added_at(s);
-                }
-            }
+            };
+        }
+        if let Some((first, sum)) = place {
+            self.bound_from(first, sum, centre - self.terms[first].eye.frustum.eye, half, targets, out);
         }
         for bound in out.iter_mut() {
             *bound = if bound.is_nan() { f64::INFINITY } else { *bound * SLACK };
         }
         seen
+    }
+
+    fn is_same_place(&self, a: usize, b: usize) -> bool {
+        let (a, b) = (&self.terms[a], &self.terms[b]);
+        a.eye.frustum.eye == b.eye.frustum.eye && a.sharpness == b.sharpness
+    }
+
+    /// Adds what one place with `weight` makes of the box, whose middle is at `centre` from there.
+    fn bound_from(&self, term: usize, weight: f64, centre: DVec3, half: DVec3, targets: &[Target], out: &mut [f64]) {
+        let term = &self.terms[term];
+        let reachable = term.eye.is_reachable();
+        let delta = (centre.abs() - half).max(DVec3::ZERO);
+        let squared = delta.length_squared();
+        let distance = squared.sqrt();
+        let shown_from = term.eye.shown_distance(distance);
+        if distance <= 0.0 || (!reachable && shown_from > distance) {
+            out.fill(f64::INFINITY);
+            return;
+        }
+        // Largest cosine between the directions into the box and each axis.
+        let cosines = ((centre.abs() + half) * (1.0 / distance)).min(DVec3::ONE);
+        let share = weight / squared;
+        if reachable {
+            let s = term.sharpness / (shown_from * shown_from);
+            for (bound, target) in out.iter_mut().zip(targets) {
+                *bound += share * target.density.dot(cosines) * target.added_up_to(s);
+            }
+        } else {
+            // Weight × accuracy added is s·Δa(s) up to constants, which rises with s: nearest counts most.
+            let s = term.sharpness / squared;
+            for (bound, target) in out.iter_mut().zip(targets) {
+                *bound += share * target.density.dot(cosines) * target.added_at(s);
+            }
+        }
     }
 }
 
@@ -146,14 +177,14 @@ impl Objective {
         for (i, term) in self.terms.iter().enumerate() {
             let centre = centre - term.eye.frustum.eye;
             let outside = if term.eye.is_reachable() {
-                term.eye.side(centre, half) == crate::benefit::frustum::Side::Outside
+                term.eye.side(centre, half) == Side::Outside
             } else {
                 term.planes.iter().any(|(plane, abs)| plane.dot(centre) < -abs.dot(half))
             };
             if outside {
                 continue;
             }
-            in_first |= i == 0;
+            in_first |= term.is_nearest;
             let squared = (centre.length_squared() + 0.25 * half.length_squared()).max(f64::MIN_POSITIVE);
             let distance = squared.sqrt();
             let shown_from = term.eye.shown_distance(distance);

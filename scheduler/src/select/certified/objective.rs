@@ -10,7 +10,7 @@ use crate::select::horizon::Worst;
 use crate::view::View;
 
 /// θ of the cuts that only scale the weights of a view to its frustum.
-const SCALE_OPENING: f64 = 0.6;
+const SCALE_OPENING: f64 = 0.8;
 
 /// What the objective is made of.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,8 +33,10 @@ pub(super) struct Term {
     pub(super) sharpness: f64,
     /// Interval of time, as a place in `spans`; the last one is always.
     span: usize,
-    /// Share of the objective, with the view's scale, 1/sr·sr.
+    /// Share of the objective, with the view's scale.
     factor: f64,
+    /// Whether this is the first path's first view.
+    pub(super) is_nearest: bool,
 }
 
 /// The views and their shares.
@@ -86,6 +88,11 @@ impl Objective {
                 }
             }
         }
+        // Views from one place follow each other: their distances are taken once.
+        self.terms.sort_by(|a, b| {
+            let [[ax, ay, az], [bx, by, bz]] = [a, b].map(|t| t.eye.frustum.eye.to_array());
+            (a.span.cmp(&b.span)).then(ax.total_cmp(&bx)).then(ay.total_cmp(&by)).then(az.total_cmp(&bz))
+        });
     }
 
     fn add(&mut self, tree: &LodTree, view: &View, region: Region, span: usize, factor: f64, settings: &CutSettings) {
@@ -98,6 +105,7 @@ impl Objective {
         let half_accuracy = crate::benefit::accuracy::HALF_ACCURACY_PX;
         let ratio = eye.frustum.pixels_per_radian / half_accuracy;
         self.terms.push(Term {
+            is_nearest: self.terms.is_empty(),
             planes: eye.frustum.planes.map(|p| (p, p.abs())),
             eye,
             sharpness: ratio * ratio,

@@ -4,14 +4,15 @@
 //! first is evaluated exactly, and goes only if it then still comes first.
 
 use super::search::{Ask, Search};
-use super::standing::{IdMap, Standing};
+use super::standing::Standing;
 use crate::lod_tree::RepId;
 use crate::select::discard::Victim;
+use crate::sparse::IdMap;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
 /// Residents looked at to make room once.
-const LOOKS_MAX: usize = 192;
+const LOOKS_MAX: usize = 96;
 /// Estimates at one tick: the share of the residents, and their least and largest number.
 const TURN: (usize, usize, usize) = (8, 16, 160);
 
@@ -27,6 +28,8 @@ struct Slot {
     last_used: u32,
     /// The sampling that the loss is from; 0 before the first.
     of: u32,
+    /// How many changes of the plan an exact loss of this sampling knew.
+    exact: Option<usize>,
 }
 
 /// Discards that make room, and what they cost.
@@ -64,7 +67,7 @@ impl Residents {
             return;
         }
         self.place.insert(rep.0, self.slots.len() as u32);
-        let slot = Slot { rep, loss_per_byte: 0.0, last_used: self.sampling, of: 0 };
+        let slot = Slot { rep, loss_per_byte: 0.0, last_used: self.sampling, of: 0, exact: None };
         self.slots.push(slot);
         if self.filled {
             self.enter(slot);
@@ -93,12 +96,18 @@ impl Residents {
 
     /// Estimates the losses of those whose turn it is.
     pub fn turn(&mut self, ask: &Ask, standing: &Standing, offset: f64) {
+        if self.slots.is_empty() {
+            return;
+        }
         let (share, least, most) = TURN;
         let count = (self.slots.len() / share).clamp(least, most).min(self.slots.len());
         ask.objective.weights(offset, &mut self.weights);
         for _ in 0..count {
             self.cursor = if self.cursor + 1 < self.slots.len() { self.cursor + 1 } else { 0 };
-            self.estimate(ask, standing, self.cursor);
+            // What is known exactly is not worth a guess.
+            if self.slots[self.cursor].of != self.sampling {
+                self.estimate(ask, standing, self.cursor);
+            }
         }
     }
 
@@ -127,6 +136,7 @@ impl Residents {
         }
         slot.loss_per_byte = bare * loss / tree.decoded_bytes(rep).max(1) as f64;
         slot.of = self.sampling;
+        slot.exact = None;
         if in_view {
             slot.last_used = self.sampling;
         }
@@ -148,6 +158,7 @@ impl Residents {
         loss_max: f64,
         planned: bool,
         may_go: MayGo,
+        members: &[RepId],
     ) -> Option<Sacrifice> {
         let tree = ask.tree;
         if !self.filled {
@@ -165,8 +176,10 @@ impl Residents {
         let mut freed = 0;
         let mut near: Vec<RepId> = near.iter().copied().filter(|&r| planned && may_go(r)).collect();
         let mut aside = Vec::new();
-        // Exact for the plan of this version.
-        let mut exact: Vec<(RepId, u64)> = Vec::new();
+        let related = |a: RepId, b: RepId| {
+            let (a, b) = (tree.node_of(a), tree.node_of(b));
+            tree.is_beneath(a, b) || tree.is_beneath(b, a)
+        };
         let mut looks = 0;
         let weigh = |search: &mut Search, standing: &Standing, rep: RepId, last_used: u32| Victim {
             loss_per_byte: search.marginal(ask, standing, rep, offset) / tree.decoded_bytes(rep).max(1) as f64,
@@ -186,7 +199,10 @@ impl Residents {
                 }
                 looks += 1;
                 let slot = self.slots[place as usize];
-                if !planned || exact.contains(&(victim.rep, standing.version())) {
+                // Exact as long as nothing above or beneath has come or gone since, nor is about to.
+                let is_exact = slot.exact.is_some_and(|seen| !search.is_touched(tree, &[victim.rep], seen))
+                    && !members.iter().chain(&sacrifice.reps).any(|&r| related(r, victim.rep));
+                if !planned || is_exact && slot.loss_per_byte == victim.loss_per_byte {
                     first = Some(victim);
                     break;
                 }
@@ -198,8 +214,10 @@ impl Residents {
                     Victim { loss_per_byte: slot.loss_per_byte, last_used: slot.last_used, rep: slot.rep }
                 } else {
                     let fresh = weigh(search, standing, victim.rep, slot.last_used);
-                    exact.push((victim.rep, standing.version()));
-                    self.slots[place as usize].loss_per_byte = fresh.loss_per_byte;
+                    let slot = &mut self.slots[place as usize];
+                    slot.loss_per_byte = fresh.loss_per_byte;
+                    let apart = !members.iter().chain(&sacrifice.reps).any(|&r| related(r, victim.rep));
+                    slot.exact = apart.then(|| search.changes());
                     fresh
                 };
                 if !is_guess && self.heap.peek().is_none_or(|Reverse(next)| fresh <= *next) {

@@ -3,14 +3,17 @@
 use super::bound::{ALL, Mask, Target};
 use super::marginal::Scratch;
 use super::objective::Objective;
-use super::standing::{IdMap, Standing};
+use super::standing::Standing;
 use crate::lod_tree::{LodTree, NodeId, RepId};
+use crate::sparse::IdMap;
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 use std::collections::binary_heap::PeekMut;
 
 /// Children that one opening looks at; the rest waits under the same bound.
 const CHILDREN_AT_ONCE: usize = 32;
+/// Closures that a new search looks at first.
+const SEEDS: usize = 12;
 /// Closures evaluated when a search is cut short.
 const LAST_LOOKS: usize = 8;
 /// Gains computed before and after a change elsewhere may differ by the rounding of areas to f32.
@@ -172,8 +175,10 @@ pub fn closure(tree: &LodTree, standing: &Standing, rep: RepId) -> Vec<RepId> {
 }
 
 impl Search {
-    /// Starts over: everything is a candidate.
+    /// Starts over: everything is a candidate. What came out best before is looked at first, so that a search that is cut
+    /// short has something good.
     pub fn restart(&mut self, tree: &LodTree, standing: &Standing) {
+        let best: Vec<RepId> = core::iter::from_fn(|| self.exact.pop()).take(SEEDS).map(|e| e.rep).collect();
         self.below.clear();
         self.bounded.clear();
         self.exact.clear();
@@ -185,6 +190,7 @@ impl Search {
         for rep in tree.own(root).filter(|&r| !standing.plan().contains(r)) {
             self.bounded.push(Bounded { ratio: f64::INFINITY, rep });
         }
+        self.bounded.extend(best.into_iter().map(|rep| Bounded { ratio: f64::INFINITY, rep }));
         self.push_beneath(f64::INFINITY, root, standing.plan().best_at(root), ALL);
     }
 
@@ -250,9 +256,9 @@ impl Search {
         let mut least_wire = f32::INFINITY;
         for rep in tree.own(node) {
             if (tree.error(rep) as f32) < worst_shown && !standing.plan().contains(rep) {
-                let own = tree.own_bounds(rep);
-                least_wire = least_wire.min(own.least_wire);
-                self.targets.push(Target::new(&own, worst_shown));
+                least_wire = least_wire.min((tree.wire_bytes(rep) as f32).next_down());
+                let density = tree.face_areas(node) / tree.wire_bytes(rep) as f64;
+                self.targets.push(Target::of_area(density, tree.error(rep) as f32, worst_shown));
                 self.reps.push(rep);
             }
         }
@@ -291,7 +297,7 @@ impl Search {
     }
 
     /// Whether the plan has changed above, at or beneath one of the nodes of `members` since the first `seen` changes.
-    fn is_touched(&self, tree: &LodTree, members: &[RepId], seen: usize) -> bool {
+    pub(super) fn is_touched(&self, tree: &LodTree, members: &[RepId], seen: usize) -> bool {
         let changed = &self.changes[seen.min(self.changes.len())..];
         !changed.is_empty()
             && members
@@ -328,6 +334,11 @@ impl Search {
         }
     }
 
+    /// How many changes of the plan are known.
+    pub(super) fn changes(&self) -> usize {
+        self.changes.len()
+    }
+
     /// The exact gain of a closure beside the plan, which is as before afterwards.
     fn gain(&mut self, ask: &Ask, standing: &mut Standing, members: &[RepId], offset: f64) -> f64 {
         let (tree, objective) = (ask.tree, ask.objective);
@@ -362,6 +373,19 @@ impl Search {
         Some(Ranked { rep, members, gain, cost, ratio: gain / cost, seen: self.changes.len() })
     }
 
+    /// Notes what the last of `members` needs first: once that is planned, the rest is cheaper. By itself it adds at most
+    /// `bound`.
+    fn await_members(&mut self, members: &[RepId], bound: f64) {
+        let Some((&rep, needed)) = members.split_last() else { return };
+        for member in needed {
+            let waiting = self.waiting.entry(member.0).or_default();
+            match waiting.iter_mut().find(|(r, _)| *r == rep) {
+                Some((_, known)) => *known = known.max(bound),
+                None => waiting.push((rep, bound)),
+            }
+        }
+    }
+
     fn evaluate(&mut self, ask: &Ask, standing: &mut Standing, rep: RepId, bound: f64) {
         let tree = ask.tree;
         if standing.plan().contains(rep) {
@@ -374,12 +398,7 @@ impl Search {
         {
             return;
         }
-        for member in &members[..members.len().saturating_sub(1)] {
-            let waiting = self.waiting.entry(member.0).or_default();
-            if !waiting.iter().any(|(r, _)| *r == rep) {
-                waiting.push((rep, bound));
-            }
-        }
+        self.await_members(&members, bound);
         if let Some(ranked) = self.rank(ask, standing, rep) {
             self.evaluated.insert(rep.0, (ranked.seen, ranked.cost));
             if ranked.ratio > 0.0 {
@@ -416,6 +435,7 @@ impl Search {
             let fresh = if is_fresh {
                 Some(top)
             } else {
+                self.await_members(&members, f64::INFINITY);
                 self.rank(ask, standing, top.rep).map(|r| {
                     self.evaluated.insert(r.rep.0, (r.seen, r.cost));
                     Exact { ratio: r.ratio, rep: r.rep, gain: r.gain, cost: r.cost, seen: r.seen }
@@ -460,7 +480,7 @@ impl Search {
                 }
                 continue;
             }
-            if missed && last < LAST_LOOKS {
+            if missed && exact <= stop.floor && last < LAST_LOOKS {
                 // Out of time: the most promising closures seen are all that can still be looked at.
                 if let Some(Bounded { ratio, rep }) = self.pop_bounded(|ratio| ratio > exact) {
                     last += 1;

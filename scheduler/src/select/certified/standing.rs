@@ -2,10 +2,7 @@
 
 use crate::benefit::coverage::Coverage;
 use crate::lod_tree::{Beneath, LodTree, NodeId, RepId};
-use rustc_hash::FxBuildHasher;
-
-/// A table by the number of a node or representation. Its order reaches nothing.
-pub(super) type IdMap<V> = hashbrown::HashMap<u32, V, FxBuildHasher>;
+use crate::sparse::IdMap;
 
 /// Nodes with more children than this are summarised step by step instead of anew.
 const CHILDREN_MAX: usize = 64;
@@ -28,14 +25,12 @@ pub struct Standing {
     plan: Coverage,
     /// By node, where something is held beneath.
     summaries: IdMap<Summary>,
-    /// Grows with each change.
-    version: u64,
 }
 
 impl Standing {
     /// What `plan` holds.
     pub fn new(tree: &LodTree, plan: Coverage) -> Standing {
-        let mut standing = Standing { plan, summaries: IdMap::default(), version: 0 };
+        let mut standing = Standing { plan, summaries: IdMap::default() };
         let held: Vec<RepId> = standing.plan.iter().collect();
         // From the last node back, so that what lies beneath is known; ancestors shared by neighbours are done once more
         // for each, which stops as soon as nothing changes.
@@ -50,16 +45,10 @@ impl Standing {
         &self.plan
     }
 
-    /// Differs after each change.
-    pub(super) fn version(&self) -> u64 {
-        self.version
-    }
-
     /// Adds a representation; false if it was there.
     pub fn insert(&mut self, tree: &LodTree, rep: RepId) -> bool {
         let changed = self.plan.insert(tree, rep);
         if changed {
-            self.version += 1;
             self.refresh(tree, tree.node_of(rep), true);
         }
         changed
@@ -69,7 +58,6 @@ impl Standing {
     pub fn remove(&mut self, tree: &LodTree, rep: RepId) -> bool {
         let changed = self.plan.remove(tree, rep);
         if changed {
-            self.version += 1;
             self.refresh(tree, tree.node_of(rep), false);
         }
         changed
