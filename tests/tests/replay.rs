@@ -10,16 +10,8 @@ use serde_json::Value;
 const LIMIT: Duration = Duration::from_secs(300);
 
 /// Fields of the document.
-const DOCUMENT: [&str; 8] = [
-    "schema_version",
-    "inputs",
-    "pressure",
-    "nonempty_share",
-    "upper_bound",
-    "shadow_prices",
-    "policies",
-    "warnings",
-];
+const DOCUMENT: [&str; 8] =
+    ["schema_version", "inputs", "pressure", "nonempty_share", "upper_bound", "shadow_prices", "policies", "warnings"];
 
 /// Fields of a policy's figures.
 const POLICY: [&str; 15] = [
