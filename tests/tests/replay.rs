@@ -10,8 +10,8 @@ use serde_json::Value;
 const LIMIT: Duration = Duration::from_secs(300);
 
 /// Fields of the document.
-const DOCUMENT: [&str; 7] =
-    ["schema_version", "inputs", "pressure", "nonempty_share", "upper_bound", "policies", "warnings"];
+const DOCUMENT: [&str; 8] =
+    ["schema_version", "inputs", "pressure", "nonempty_share", "upper_bound", "shadow_prices", "policies", "warnings"];
 
 /// Fields of a policy's figures.
 const POLICY: [&str; 15] = [
@@ -125,7 +125,9 @@ fn the_document_has_the_fields_of_its_schema() {
     assert_eq!(fields(&document), BTreeSet::from(DOCUMENT));
     assert_eq!(document["schema_version"], 1);
     assert_eq!(fields(&document["pressure"]), BTreeSet::from(["lambda", "rho", "mu", "largest_need_bytes"]));
-    assert_eq!(fields(&document["upper_bound"]), BTreeSet::from(["mean_quality", "method"]));
+    assert_eq!(fields(&document["upper_bound"]), BTreeSet::from(["mean_quality", "method", "by_frame", "over_time"]));
+    assert_eq!(document["shadow_prices"]["per_mbit_s"].as_array().map(Vec::len), Some(10));
+    assert_eq!(document["shadow_prices"]["per_mib"].as_array().map(Vec::len), Some(10));
     let missing: Vec<_> = INPUTS.iter().filter(|field| document["inputs"].get(**field).is_none()).collect();
     assert!(missing.is_empty(), "inputs lack {missing:?}");
     for policy in policies(&document) {
