@@ -148,7 +148,8 @@ impl Foresight {
         let (cut, attenuation) = (&s.cut, s.attenuation);
         let prospect = alpha::Sampled { now, paths: &paths, offsets: &middles, worst: &worst, cut, attenuation };
         let alpha = self.alpha.at(state, &prospect);
-        Lookahead { alpha, paths, bounds, view, region, worst_views }
+        let anew = self.sampled.is_none();
+        Lookahead { alpha, anew, paths, bounds, view, region, worst_views }
     }
 
     fn decide_with(&mut self, method: &mut dyn Choose, state: &ClientState, now: Time) -> Action {
@@ -174,6 +175,7 @@ impl Foresight {
                 return Action::Cancel(rep);
             }
         }
+        method.prepare(&self.context(state, due));
         if full {
             return wait;
         }

@@ -7,7 +7,7 @@
 //! the cut uses.
 //!
 //! Groups are bounded as a whole: with D the distance of the group's middle and ρ its radius, all that lies beneath has
-//! distances in [D − ρ, D + ρ], directions within asin(ρ/D), and Σ w in Σ ι·A·[cos]/[r²] over those; the relative width is
+//! distances in [D − ρ, D + ρ], directions within asin(ρ/D), and Σ w in Σ ι·A·\[cos\]/\[r²\] over those; the relative width is
 //! about 6ρ/D, so an opening angle θ leaves 6θ of a group's weight open. The groups with the widest bounds are opened
 //! until the gap asked for is reached, down to single leaves, whose width is rounding.
 

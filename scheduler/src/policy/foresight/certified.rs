@@ -1,4 +1,7 @@
 //! The certified choice as the policy uses it: a search per sampling, room made by stale losses, a certificate.
+//!
+//! A new sampling is searched in the background, a bounded number of evaluations an observation, while choices are still
+//! made by the one before; it takes over as soon as its best is certain, or when the next sampling is due.
 
 use super::closure::needed_by;
 use super::context::{Choice, Choose, Context, Lookahead, first_pointless};
@@ -10,15 +13,33 @@ use crate::select::certified::{
     Ask, Certificate, Link, Objective, ObjectiveSettings, Ranked, Residents, Search, Standing, Stop,
 };
 use crate::state::{ClientState, Status};
+use crate::units::Time;
 use crate::view::View;
 use std::collections::BTreeMap;
 
 /// Evaluations that one choice has in any case.
 const EVALUATIONS_MIN: u64 = 20;
+/// Times the evaluations of an observation, for choices that cannot wait: what was found out ahead of need mostly
+/// suffices, and where it does not, a choice far from the best costs more than the time.
+const URGENT: u64 = 8;
 /// Candidates whose discards are worked out for one decision; the rest are worse even without any loss.
 const SWAPS_WEIGHED: usize = 12;
 /// Losses are watched from when less than this share of memory is free.
 const WATCHED_BELOW: f64 = 0.125;
+
+/// The time ahead as it was sampled once, and what has been found out about it.
+#[derive(Default)]
+struct Prospect {
+    objective: Objective,
+    search: Search,
+    /// Whether the search knows the objective and the plan.
+    restarted: bool,
+    /// When it was sampled, and what was outstanding then.
+    sampled: Time,
+    queued_bytes: u64,
+    /// The nearest predicted view.
+    nearest: Option<View>,
+}
 
 /// The certified choice.
 #[derive(Default)]
@@ -26,17 +47,19 @@ pub(super) struct CertifiedChoice {
     /// The planned set, up to date unless `stale`.
     standing: Option<Standing>,
     stale: bool,
-    objective: Objective,
-    search: Search,
-    /// Whether the search knows the latest sampling.
-    restarted: bool,
+    /// By which choices are made.
+    present: Prospect,
+    /// The latest sampling, if it has not taken over yet; otherwise kept for its memory.
+    coming: Prospect,
+    is_coming: bool,
+    /// Whether this observation's share of the work ahead of need is done.
+    prepared: bool,
     residents: Residents,
-    /// The nearest predicted view, and its cut once it is needed.
-    nearest: Option<View>,
+    /// The cut of the nearest predicted view, once it is needed.
     seen: Option<Cut>,
     /// Gain and cost of what was requested since the objective was sampled.
     taken: (f64, f64),
-    /// Evaluations made by the search before the latest observation.
+    /// Evaluations made by the present search before the latest observation.
     evaluations_before: u64,
     certificate: Option<Certificate>,
 }
@@ -62,15 +85,25 @@ impl CertifiedChoice {
                 standing.insert(tree, rep);
                 self.residents.added(rep);
             }
-            self.restarted = false;
+            (self.present.restarted, self.coming.restarted) = (false, false);
         }
         standing
+    }
+
+    /// The latest sampling is the one by which choices are made from now on.
+    fn take_over(&mut self) {
+        self.is_coming = false;
+        self.residents.sampled();
+        self.seen = None;
+        self.taken = (0.0, 0.0);
+        self.evaluations_before = self.present.search.evaluations();
     }
 
     /// Runs `decide` with what a choice is asked over.
     fn with_ask<T>(&mut self, cx: &Context, decide: impl FnOnce(&mut Self, &Ask, &mut Standing) -> T) -> T {
         let mut standing = self.read(cx.state);
-        let objective = core::mem::take(&mut self.objective);
+        let cx = &Context { sampled: self.present.sampled, queued_bytes: self.present.queued_bytes, ..*cx };
+        let objective = core::mem::take(&mut self.present.objective);
         let rate = cx.state.link.rate();
         let arrival = |bytes: u64| cx.arrival(bytes);
         let known = cx.oracle.is_some() || !cx.settings.gains_from_arrival;
@@ -87,15 +120,15 @@ impl CertifiedChoice {
             allowed: &|rep| cx.may_fetch(rep),
         };
         let answer = decide(self, &ask, &mut standing);
-        self.objective = objective;
+        self.present.objective = objective;
         self.standing = Some(standing);
         answer
     }
 
     fn restart(&mut self, ask: &Ask, standing: &Standing) {
-        if !self.restarted {
-            self.search.restart(ask.tree, standing);
-            self.restarted = true;
+        if !self.present.restarted {
+            self.present.search.restart(ask.tree, standing);
+            self.present.restarted = true;
         }
     }
 
@@ -103,20 +136,21 @@ impl CertifiedChoice {
     fn choose_with(&mut self, cx: &Context, ask: &Ask, standing: &mut Standing) -> Option<Choice> {
         self.restart(ask, standing);
         let state = cx.state;
-        let (evaluations, opened) = (self.search.evaluations(), self.search.nodes_opened());
-        let evaluations_max = (self.evaluations_before + cx.settings.evaluations).max(evaluations + EVALUATIONS_MIN);
+        let (evaluations, opened) = (self.present.search.evaluations(), self.present.search.nodes_opened());
+        let urgent = URGENT.saturating_mul(cx.settings.evaluations);
+        let evaluations_max = self.evaluations_before.saturating_add(urgent).max(evaluations + EVALUATIONS_MIN);
         let mut least_loss = f64::INFINITY;
         let mut best: Option<(Choice, f64)> = None;
         let mut passed_over = Vec::new();
         for weighed in 0..=SWAPS_WEIGHED {
             let floor = best.as_ref().map_or(0.0, |(b, _)| b.ratio);
             let stop = Stop { tolerance: cx.settings.tolerance, floor, evaluations_max };
-            let Some(ranked) = self.search.next(ask, standing, stop) else { break };
+            let Some(ranked) = self.present.search.next(ask, standing, stop) else { break };
             let need: u64 = ranked.members.iter().map(|&m| state.request_bytes(m)).sum();
             let free = state.free_bytes();
             let (discards, loss) = if need <= free {
                 (Vec::new(), 0.0)
-            } else if weighed == SWAPS_WEIGHED || best.is_some() && self.search.evaluations() >= evaluations_max {
+            } else if weighed == SWAPS_WEIGHED || weighed > 0 && self.present.search.evaluations() >= evaluations_max {
                 passed_over.push(ranked);
                 break;
             } else {
@@ -146,9 +180,9 @@ impl CertifiedChoice {
             }
         }
         for ranked in passed_over.iter().filter(|r| best.as_ref().is_none_or(|(b, _)| b.rep != r.rep)) {
-            self.search.give_back(ranked);
+            self.present.search.give_back(ranked);
         }
-        let upper = self.search.upper();
+        let upper = self.present.search.upper();
         let ratio = best.as_ref().map_or(0.0, |(b, _)| b.ratio);
         if let Some((choice, cost)) = &best {
             self.taken.0 += choice.ratio * cost;
@@ -157,10 +191,10 @@ impl CertifiedChoice {
         let (gained, spent) = self.taken;
         let left = upper * spent;
         self.certificate = Some(Certificate {
-            evaluations: self.search.evaluations() - evaluations,
-            nodes_opened: self.search.nodes_opened() - opened,
+            evaluations: self.present.search.evaluations() - evaluations,
+            nodes_opened: self.present.search.nodes_opened() - opened,
             plan_gap: if left > 0.0 && left.is_finite() { left / (gained + left) } else { 0.0 },
-            cut_short: self.search.evaluations() >= evaluations_max,
+            cut_short: self.present.search.evaluations() >= evaluations_max,
             ..Certificate::of(ratio, upper)
         });
         best.map(|(choice, _)| choice)
@@ -201,7 +235,7 @@ impl CertifiedChoice {
         let limit = if planned { ranked.gain / (1.0 + cx.settings.hysteresis) } else { f64::INFINITY };
         let wire: u64 = members.iter().map(|&m| tree.wire_bytes(m)).sum();
         let offset = ask.link.arrival_of(wire);
-        let (search, residents) = (&mut self.search, &mut self.residents);
+        let (search, residents) = (&mut self.present.search, &mut self.residents);
         let chosen =
             residents.choose(ask, search, standing, &replaced, bytes, offset, limit, planned, &may_go, members);
         for &member in members.iter().rev() {
@@ -216,19 +250,57 @@ impl Choose for CertifiedChoice {
     fn sample(&mut self, cx: &Context, ahead: &Lookahead) {
         let s = cx.settings;
         let settings = ObjectiveSettings { alpha: ahead.alpha, attenuation: s.attenuation, cut: s.cut };
-        self.objective.make(cx.state.tree, &ahead.paths, &ahead.bounds, ahead.worst(), &settings);
-        self.restarted = false;
-        self.residents.sampled();
-        self.nearest = ahead.paths.first().and_then(|path| path.views.first()).copied();
-        self.seen = None;
-        self.taken = (0.0, 0.0);
+        if self.is_coming {
+            // It has had its time.
+            core::mem::swap(&mut self.present, &mut self.coming);
+            self.take_over();
+        }
+        self.coming.objective.make(cx.state.tree, &ahead.paths, &ahead.bounds, ahead.worst(), &settings);
+        self.coming.restarted = false;
+        (self.coming.sampled, self.coming.queued_bytes) = (cx.sampled, cx.queued_bytes);
+        self.coming.nearest = ahead.paths.first().and_then(|path| path.views.first()).copied();
+        (self.is_coming, self.prepared) = (true, true);
+        if ahead.anew {
+            core::mem::swap(&mut self.present, &mut self.coming);
+            self.take_over();
+        }
+    }
+
+    fn prepare(&mut self, cx: &Context) {
+        if core::mem::replace(&mut self.prepared, true) {
+            return;
+        }
+        if (cx.state.free_bytes() as f64) < WATCHED_BELOW * cx.state.budget as f64 {
+            self.with_ask(cx, |this, ask, standing| this.residents.turn(ask, standing, ask.link.first_byte_s));
+        }
+        if !self.is_coming {
+            return;
+        }
+        core::mem::swap(&mut self.present, &mut self.coming);
+        let is_certain = self.with_ask(cx, |this, ask, standing| {
+            this.restart(ask, standing);
+            let search = &mut this.present.search;
+            let evaluations_max = search.evaluations().saturating_add(cx.settings.evaluations);
+            let stop = Stop { tolerance: cx.settings.tolerance, floor: 0.0, evaluations_max };
+            if let Some(best) = search.next(ask, standing, stop) {
+                search.give_back(&best);
+            }
+            search.evaluations() < evaluations_max
+        });
+        if is_certain {
+            self.take_over();
+        } else {
+            core::mem::swap(&mut self.present, &mut self.coming);
+        }
     }
 
     fn added(&mut self, cx: &Context, rep: RepId) {
         self.residents.added(rep);
         self.with_ask(cx, |this, ask, standing| {
-            if standing.insert(ask.tree, rep) && this.restarted {
-                this.search.added(ask, rep);
+            if standing.insert(ask.tree, rep) {
+                for prospect in [&mut this.present, &mut this.coming].into_iter().filter(|p| p.restarted) {
+                    prospect.search.added(ask, rep);
+                }
             }
         });
     }
@@ -236,14 +308,20 @@ impl Choose for CertifiedChoice {
     fn removed(&mut self, cx: &Context, rep: RepId) {
         self.residents.removed(rep);
         self.with_ask(cx, |this, ask, standing| {
-            if standing.remove(ask.tree, rep) && this.restarted {
-                this.search.removed(ask, standing, rep);
+            if standing.remove(ask.tree, rep) && this.present.restarted {
+                this.present.search.removed(ask, standing, rep);
             }
         });
+        if self.coming.restarted {
+            core::mem::swap(&mut self.present, &mut self.coming);
+            self.with_ask(cx, |this, ask, standing| this.present.search.removed(ask, standing, rep));
+            core::mem::swap(&mut self.present, &mut self.coming);
+        }
     }
 
     fn observed(&mut self) {
-        self.evaluations_before = self.search.evaluations();
+        self.evaluations_before = self.present.search.evaluations();
+        self.prepared = false;
     }
 
     fn forget(&mut self) {
@@ -252,7 +330,7 @@ impl Choose for CertifiedChoice {
 
     fn cover(&mut self, cx: &Context) -> Option<RepId> {
         let (state, tree) = (cx.state, cx.state.tree);
-        let nearest = self.nearest?;
+        let nearest = self.present.nearest?;
         let standing = self.read(state);
         let seen = self.seen.get_or_insert_with(|| {
             let mut cut = Cut::default();
@@ -281,14 +359,16 @@ impl Choose for CertifiedChoice {
         first_pointless(cx, |_, _| true)?;
         self.with_ask(cx, |this, ask, standing| {
             this.restart(ask, standing);
-            let evaluations_max = this.search.evaluations() + cx.settings.evaluations;
-            let best = this.search.next(ask, standing, Stop { tolerance: 0.1, floor: 0.0, evaluations_max });
+            let evaluations_max = this.present.search.evaluations().saturating_add(cx.settings.evaluations);
+            let best = this.present.search.next(ask, standing, Stop { tolerance: 0.1, floor: 0.0, evaluations_max });
             if let Some(best) = &best {
-                this.search.give_back(best);
+                this.present.search.give_back(best);
             }
             let ratio = best.map_or(0.0, |b| b.ratio);
             let offset = ask.link.first_byte_s;
-            first_pointless(cx, |rep, seconds| this.search.marginal(ask, standing, rep, offset) / seconds < 0.1 * ratio)
+            first_pointless(cx, |rep, seconds| {
+                this.present.search.marginal(ask, standing, rep, offset) / seconds < 0.1 * ratio
+            })
         })
     }
 
@@ -297,12 +377,7 @@ impl Choose for CertifiedChoice {
             cx.state.planned().refinement() == Refinement::Partial,
             "sibling groups are for the sampled choice"
         );
-        self.with_ask(cx, |this, ask, standing| {
-            if (cx.state.free_bytes() as f64) < WATCHED_BELOW * cx.state.budget as f64 {
-                this.residents.turn(ask, standing, ask.link.first_byte_s);
-            }
-            this.choose_with(cx, ask, standing)
-        })
+        self.with_ask(cx, |this, ask, standing| this.choose_with(cx, ask, standing))
     }
 
     fn certificate(&self) -> Option<Certificate> {

@@ -11,6 +11,7 @@ use crate::units::Time;
 use crate::view::View;
 
 /// What holds during one decision.
+#[derive(Clone, Copy)]
 pub(super) struct Context<'c, 'a> {
     pub(super) settings: &'c ForesightSettings,
     pub(super) state: &'c ClientState<'a>,
@@ -55,6 +56,8 @@ impl Context<'_, '_> {
 pub(super) struct Lookahead {
     /// α for this sampling.
     pub(super) alpha: f64,
+    /// Whether nothing sampled before holds any more.
+    pub(super) anew: bool,
     /// A view an interval, at its middle.
     pub(super) paths: Vec<PredictedPath>,
     /// Ends of the intervals, seconds, ascending from 0.
@@ -85,6 +88,8 @@ pub(super) struct Choice {
 pub(super) trait Choose: Send {
     /// Looks ahead anew.
     fn sample(&mut self, cx: &Context, ahead: &Lookahead);
+    /// Once an observation, before anything is chosen: goes on with what can be found out ahead of need.
+    fn prepare(&mut self, _cx: &Context) {}
     /// Something is planned or discarded by an action of this policy.
     fn added(&mut self, cx: &Context, rep: RepId);
     fn removed(&mut self, cx: &Context, rep: RepId);

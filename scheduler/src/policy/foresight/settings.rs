@@ -92,7 +92,7 @@ impl Default for ForesightSettings {
             cut: CutSettings { opening: 0.3, near: 0.1, centre_falloff: 0.0 },
             choice: ChoiceMethod::Certified,
             tolerance: 1e-3,
-            evaluations: 6_000,
+            evaluations: 800,
             grouping: 0.1,
             reach: Reach::default(),
             neighbourhood: NeighbourhoodKind::Free,

@@ -12,7 +12,7 @@ use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
 /// Residents looked at to make room once.
-const LOOKS_MAX: usize = 96;
+const LOOKS_MAX: usize = 48;
 /// Estimates at one tick: the share of the residents, and their least and largest number.
 const TURN: (usize, usize, usize) = (8, 16, 160);
 
