@@ -55,6 +55,11 @@ impl Trust {
             AlphaRule::Solved { at_least } => Some(format!("solved:at-least={at_least}")),
         }
     }
+
+    /// The default: adapted, from the default α on.
+    pub fn adapted() -> Trust {
+        Trust { alpha: ForesightSettings::default().alpha, rule: AlphaRule::Adapted }
+    }
 }
 
 impl From<f64> for Trust {
@@ -70,7 +75,7 @@ impl FromStr for Trust {
         let alpha = ForesightSettings::default().alpha;
         let least = text.strip_prefix("solved:at-least=").map(|q| q.parse::<f64>().ok());
         match (text, least) {
-            ("adapted", _) => Ok(Trust { alpha, rule: AlphaRule::Adapted }),
+            ("adapted", _) => Ok(Trust::adapted()),
             ("solved", _) => Ok(Trust { alpha, rule: AlphaRule::Solved { at_least: AT_LEAST } }),
             (_, Some(Some(at_least))) if (0.0..=1.0).contains(&at_least) => {
                 Ok(Trust { alpha, rule: AlphaRule::Solved { at_least } })
@@ -160,7 +165,10 @@ impl PolicySpec {
         let base = ForesightSettings { alpha: trust.alpha, ..ForesightSettings::default() };
         let settings = match name {
             "added-benefit" => added_benefit::settings(base),
-            "clairvoyant" => ForesightSettings { alpha: 1.0, predictor: PredictorKind::KnownPath, ..base },
+            "clairvoyant" => {
+                let (alpha_rule, predictor) = (AlphaRule::Fixed, PredictorKind::KnownPath);
+                ForesightSettings { alpha: 1.0, alpha_rule, predictor, ..base }
+            }
             "foresight" => ForesightSettings { alpha_rule: trust.rule, ..base },
             "foresight-adapted" => ForesightSettings { alpha_rule: AlphaRule::Adapted, ..base },
             "foresight-solved" => {

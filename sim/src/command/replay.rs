@@ -58,9 +58,9 @@ pub(crate) struct ReplayArgs {
     /// the built-in world
     #[arg(long, value_name = "SIZE", value_parser = memory, allow_hyphen_values = true)]
     memory: Option<Memory>,
-    /// Trust in the prediction, 0 to 1; adapted follows how well it predicts, and solved:at-least=Q is as high as leaves the
-    /// worst case a mean quality of Q, 0.6 if not given
-    #[arg(long, default_value = "0.7", value_name = "ALPHA", allow_hyphen_values = true)]
+    /// Trust in the prediction: adapted follows how well it predicts, from 0.7 on; a number from 0 to 1 stays; and
+    /// solved:at-least=Q is as high as leaves the worst case a mean quality of Q, 0.6 if not given
+    #[arg(long, default_value = "adapted", value_name = "ALPHA", allow_hyphen_values = true)]
     alpha: Trust,
     /// Pixels of error that the rivals aim at, instead of what each ships with; best adds each at its best of 1, 2, 4 …
     /// 64 px in hindsight
@@ -124,7 +124,7 @@ impl ReplayArgs {
             link: None,
             policy: "all".to_owned(),
             memory: None,
-            alpha: Trust::from(0.7),
+            alpha: Trust::adapted(),
             error_target: None,
             refinement: Refinement::Partial,
             path_args: PathArgs::default(),

@@ -82,7 +82,7 @@ impl Default for ForesightSettings {
     fn default() -> ForesightSettings {
         ForesightSettings {
             alpha: 0.7,
-            alpha_rule: AlphaRule::Fixed,
+            alpha_rule: AlphaRule::Adapted,
             horizon_s: 4.0,
             reuse_s: 0.25,
             hysteresis: 0.1,

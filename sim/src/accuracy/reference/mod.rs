@@ -5,7 +5,7 @@
 //! quadrature is the sum over all parts of the distance between a part and its halves, and of what the interpolant misses at
 //! the ends, while the value is the halves': where the integrand is smooth this overstates the error by about 2²⁰, at a kink by
 //! about 4. It is demonstrated, not proven: a feature narrower than the gaps between the nodes of a part can pass unseen,
-//! and [`UNSEEN`] is allowed for that.
+//! and `UNSEEN` is allowed for that.
 
 mod closed_form;
 mod double;
