@@ -3,11 +3,13 @@
 //! The world is a quadtree of boxes on a square, one representation a node. 4⁷ leaves are as many as the built-in city
 //! has; 4¹⁰ are about 10⁶.
 
+mod quadtree;
+
 use criterion::{BatchSize, BenchmarkId, Criterion};
 use foresight_scheduler::benefit::coverage::{Coverage, Refinement};
 use foresight_scheduler::benefit::cut::{Cut, CutSettings, Region};
 use foresight_scheduler::benefit::quality::evaluate;
-use foresight_scheduler::lod_tree::{Aabb, LodTree, LodTreeBuilder, LodTreeError, NodeId, RepId, Representation};
+use foresight_scheduler::lod_tree::{LodTree, LodTreeError, NodeId, RepId};
 use foresight_scheduler::policy::foresight::{Foresight, ForesightSettings};
 use foresight_scheduler::predict::PredictedPath;
 use foresight_scheduler::predict::motion::Speeds;
@@ -17,44 +19,13 @@ use foresight_scheduler::units::Time;
 use foresight_scheduler::view::View;
 use foresight_scheduler::worst_case::Reach;
 use glam::{DQuat, DVec3};
+use quadtree::quadtree;
 use std::hint::black_box;
 use std::time::Duration;
 
 const SMALL_LEVELS: u32 = 6;
 const CITY_LEVELS: u32 = 7;
 const LARGE_LEVELS: u32 = 10;
-/// Side of a leaf's footprint, metres.
-const LOT: f64 = 15.0;
-
-fn quadtree(levels: u32) -> Result<LodTree, LodTreeError> {
-    fn node(b: &mut LodTreeBuilder, level: u32, x: f64, z: f64) -> Result<(), LodTreeError> {
-        let side = LOT * libm::exp2(f64::from(level));
-        b.open()?;
-        let error = (side / 12.0) as f32;
-        let wire_bytes = 6000 + 500 * level;
-        b.add(Representation {
-            wire_bytes,
-            decoded_bytes: 3 * wire_bytes,
-            error,
-            prerequisite: None,
-            direction: None,
-        })?;
-        if level == 0 {
-            let height = 4.0 + libm::fmod(libm::fabs(7.0 * x + 3.0 * z), 31.0);
-            let min = DVec3::new(x, 0.0, z);
-            return b.close(Some(Aabb { min, max: min + DVec3::new(0.8 * LOT, height, 0.8 * LOT) }), 1.0);
-        }
-        let half = 0.5 * side;
-        for (dx, dz) in [(0.0, 0.0), (half, 0.0), (0.0, half), (half, half)] {
-            node(b, level - 1, x + dx, z + dz)?;
-        }
-        b.close(None, 1.0)
-    }
-    let mut builder = LodTreeBuilder::default();
-    let corner = -0.5 * LOT * libm::exp2(f64::from(levels));
-    node(&mut builder, levels, corner, corner)?;
-    builder.finish()
-}
 
 /// From above the roofs of the middle, looking ahead and a little down.
 fn view() -> View {

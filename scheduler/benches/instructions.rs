@@ -3,12 +3,15 @@
 //!
 //! Without valgrind nothing is counted: the line "skipped: …" says so, and with `CI=true` that is a failure.
 
-use foresight_scheduler::lod_tree::{Aabb, LodTree, LodTreeBuilder, LodTreeError, NodeId, RepId, Representation};
+mod quadtree;
+
+use foresight_scheduler::lod_tree::{NodeId, RepId};
 use foresight_scheduler::policy::foresight::{Foresight, ForesightSettings};
 use foresight_scheduler::scheduler::{Action, Scheduler, SchedulerError, SchedulerSettings};
 use foresight_scheduler::units::Time;
 use foresight_scheduler::view::View;
 use glam::{DQuat, DVec3};
+use quadtree::quadtree;
 use std::process::{Command, ExitCode};
 
 /// Name, levels of the quadtree, budget beyond the coarse levels (bytes), whether the camera has turned by π since the
@@ -19,34 +22,6 @@ const CASES: [(&str, u32, u64, bool); 4] = [
     ("4^7 leaves, memory full", 7, 16 << 10, false),
     ("4^7 leaves, after half a turn", 7, 64 << 20, true),
 ];
-/// Side of a leaf's footprint, metres.
-const LOT: f64 = 15.0;
-
-/// Boxes on a square, one representation a node.
-fn quadtree(levels: u32) -> Result<LodTree, LodTreeError> {
-    fn node(b: &mut LodTreeBuilder, level: u32, x: f64, z: f64) -> Result<(), LodTreeError> {
-        let side = LOT * libm::exp2(f64::from(level));
-        b.open()?;
-        let (wire_bytes, error) = (6000 + 500 * level, (side / 12.0) as f32);
-        let decoded_bytes = 3 * wire_bytes;
-        b.add(Representation { wire_bytes, decoded_bytes, error, prerequisite: None, direction: None })?;
-        if level == 0 {
-            let height = 4.0 + libm::fmod(libm::fabs(7.0 * x + 3.0 * z), 31.0);
-            let min = DVec3::new(x, 0.0, z);
-            return b.close(Some(Aabb { min, max: min + DVec3::new(0.8 * LOT, height, 0.8 * LOT) }), 1.0);
-        }
-        let half = 0.5 * side;
-        for (dx, dz) in [(0.0, 0.0), (half, 0.0), (0.0, half), (half, half)] {
-            node(b, level - 1, x + dx, z + dz)?;
-        }
-        b.close(None, 1.0)
-    }
-    let mut builder = LodTreeBuilder::default();
-    let corner = -0.5 * LOT * libm::exp2(f64::from(levels));
-    node(&mut builder, levels, corner, corner)?;
-    builder.finish()
-}
-
 /// What is counted: the only function of this name in the process.
 #[inline(never)]
 fn one_decision(scheduler: &mut Scheduler, view: &View, now: Time) -> Result<Action, SchedulerError> {

@@ -1,46 +1,23 @@
 //! The worst case on twenty scenes: a quadtree city of about 16 000 boxes, seen along a walk and a flight, with different
 //! sets resident. First a table of gaps, evaluations and times; then the benchmarks proper.
 
+mod quadtree;
+
 use criterion::{BenchmarkId, Criterion};
 use foresight_scheduler::benefit::coverage::{Coverage, Refinement};
 use foresight_scheduler::benefit::cut::CutSettings;
-use foresight_scheduler::lod_tree::{Aabb, LodTree, LodTreeBuilder, LodTreeError, RepId, Representation};
+use foresight_scheduler::lod_tree::{LodTree, LodTreeError, RepId};
 use foresight_scheduler::view::View;
 use foresight_scheduler::worst_case::minimum::{MinimumSettings, certified, sampled, worst_views};
 use foresight_scheduler::worst_case::neighbourhood::Neighbourhood;
 use foresight_scheduler::worst_case::target::Targets;
 use foresight_scheduler::worst_case::union::{self, UnionSettings};
 use glam::{DQuat, DVec3};
+use quadtree::{LOT, quadtree};
 use std::hint::black_box;
 use std::time::Duration;
 
 const LEVELS: u32 = 7;
-/// Side of a leaf's footprint, metres.
-const LOT: f64 = 15.0;
-
-fn city() -> Result<LodTree, LodTreeError> {
-    fn node(b: &mut LodTreeBuilder, level: u32, x: f64, z: f64) -> Result<(), LodTreeError> {
-        let side = LOT * libm::exp2(f64::from(level));
-        b.open()?;
-        let error = (side / 12.0) as f32;
-        let (wire_bytes, prerequisite, direction) = (6000 + 500 * level, None, None);
-        b.add(Representation { wire_bytes, decoded_bytes: 3 * wire_bytes, error, prerequisite, direction })?;
-        if level == 0 {
-            let height = 4.0 + libm::fmod(libm::fabs(7.0 * x + 3.0 * z), 31.0);
-            let min = DVec3::new(x, 0.0, z);
-            return b.close(Some(Aabb { min, max: min + DVec3::new(0.8 * LOT, height, 0.8 * LOT) }), 1.0);
-        }
-        let half = 0.5 * side;
-        for (dx, dz) in [(0.0, 0.0), (half, 0.0), (0.0, half), (half, half)] {
-            node(b, level - 1, x + dx, z + dz)?;
-        }
-        b.close(None, 1.0)
-    }
-    let mut builder = LodTreeBuilder::default();
-    let corner = -0.5 * LOT * libm::exp2(f64::from(LEVELS));
-    node(&mut builder, LEVELS, corner, corner)?;
-    builder.finish()
-}
 
 struct Scene {
     name: String,
@@ -87,7 +64,7 @@ fn cut(opening: f64) -> CutSettings {
 
 const OPENINGS: [(&str, f64); 2] = [("decision", 0.3), ("offline", 0.15)];
 
-fn table(tree: &LodTree, scenes: &[Scene], evaluations_max: u64) {
+fn table(tree: &LodTree, scenes: &[Scene], evaluations_max: u32) {
     println!("scene       setting   targets  boxes  evaluations  W         gap/Σw   sampled   Σw");
     for scene in scenes {
         for (setting, opening) in OPENINGS {
@@ -146,7 +123,7 @@ fn benchmarks(c: &mut Criterion, tree: &LodTree, scenes: &[Scene]) {
 }
 
 fn main() -> Result<(), LodTreeError> {
-    let tree = city()?;
+    let tree = quadtree(LEVELS)?;
     let scenes = scenes(&tree);
     // Tried out, not measured: the table stops early.
     let is_trial = std::env::args().any(|argument| argument == "--test");

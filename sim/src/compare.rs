@@ -18,6 +18,7 @@ use foresight_scheduler::benefit::cut::{Cut, CutSettings};
 use foresight_scheduler::lod_tree::{LodTree, RepId};
 use foresight_scheduler::policy::foresight::{AlphaReport, Constraint};
 use foresight_scheduler::scheduler::SchedulerSettings;
+use foresight_scheduler::state::smallest_closure;
 use foresight_scheduler::units::Time;
 use glam::DVec3;
 use rayon::prelude::*;
@@ -123,7 +124,7 @@ pub fn compare(
         Memory::Bytes(bytes) => bytes,
         Memory::OfLargestNeed(mu) => libm::ceil(mu * needs.largest_bytes as f64) as u64,
     };
-    let smallest = smallest_closure(plan.tree);
+    let smallest = smallest_closure(plan.tree, plan.scheduler.refinement).unwrap_or(0);
     if budget < smallest {
         return Err(CompareError::Memory { budget, smallest });
     }
@@ -232,16 +233,6 @@ pub fn compare(
         warnings,
         series,
     })
-}
-
-/// Wire and decoded bytes of the smallest closure in the world.
-fn smallest_closure(tree: &LodTree) -> u64 {
-    (0..tree.representations() as u32)
-        .map(RepId)
-        .filter(|&r| tree.prerequisite(r).is_none())
-        .map(|r| tree.wire_bytes(r) + tree.decoded_bytes(r))
-        .min()
-        .unwrap_or(0)
 }
 
 /// The first frame's needs as far as they fit.
