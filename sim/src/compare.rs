@@ -124,7 +124,8 @@ pub fn compare(
         Memory::Bytes(bytes) => bytes,
         Memory::OfLargestNeed(mu) => libm::ceil(mu * needs.largest_bytes as f64) as u64,
     };
-    let smallest = smallest_closure(plan.tree, plan.scheduler.refinement).unwrap_or(0);
+    // Members of a sibling group come one after the other: below this not even one of them fits.
+    let smallest = smallest_closure(plan.tree, Refinement::Partial).unwrap_or(0);
     if budget < smallest {
         return Err(CompareError::Memory { budget, smallest });
     }
