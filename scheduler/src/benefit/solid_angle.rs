@@ -41,10 +41,24 @@ fn outline(centre: DVec3, half: DVec3) -> Option<Polygon> {
         let pick = |bit: u8, near: f64, far: f64| if bits & bit != 0 { far } else { near };
         centre + DVec3::new(pick(1, near.x, far.x), pick(2, near.y, far.y), pick(4, near.z, far.z))
     };
+    let bits = outline_corners(beyond.bitmask());
+    if bits.is_empty() {
+        return None;
+    }
+    let mut polygon = Polygon { corners: [DVec3::ZERO; 10], count: bits.len() };
+    for (place, &bits) in polygon.corners.iter_mut().zip(bits) {
+        *place = corner(bits);
+    }
+    Some(polygon)
+}
+
+/// The corners of a box's outline in order, each by which of its coordinates are on the far side (bits x, y, z).
+/// `beyond` has the bits of the axes along which the eye lies beyond the box; none from within.
+pub(crate) fn outline_corners(beyond: u32) -> &'static [u8] {
     // Two faces share an edge; the outline goes round both. Three share the nearest corner; the outline visits all
     // others but the farthest. Neighbours differ in one coordinate.
-    let bits: &[u8] = match beyond.bitmask() {
-        0b000 => return None,
+    match beyond {
+        0b000 => &[],
         0b001 => &[0, 2, 6, 4],
         0b010 => &[0, 1, 5, 4],
         0b100 => &[0, 1, 3, 2],
@@ -52,12 +66,7 @@ fn outline(centre: DVec3, half: DVec3) -> Option<Polygon> {
         0b101 => &[4, 6, 2, 3, 1, 0],
         0b110 => &[4, 5, 1, 3, 2, 0],
         _ => &[1, 3, 2, 6, 4, 5],
-    };
-    let mut polygon = Polygon { corners: [DVec3::ZERO; 10], count: bits.len() };
-    for (place, &bits) in polygon.corners.iter_mut().zip(bits) {
-        *place = corner(bits);
     }
-    Some(polygon)
 }
 
 /// Sutherland–Hodgman against one half-space through the eye: where a chord meets the plane, its arc does too.

@@ -31,8 +31,6 @@ pub struct Accuracy {
     pub upper_bound: Vec<UpperBoundRow>,
     /// Rows where an uncertified method lies, a proven bound is violated, or a bound is loose; a sentence each.
     pub findings: Vec<Finding>,
-    /// Cases and parts left out, with the reason.
-    pub skipped: Vec<String>,
 }
 
 /// Where a row's inputs come from.

@@ -2,11 +2,11 @@
 
 use comfy_table::presets::NOTHING;
 use comfy_table::{CellAlignment, ContentArrangement, LineStyle, Table};
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{Markup, html};
 use std::collections::BTreeMap;
 
+use super::frame::{document, table};
 use super::number::{NEVER, printable, significant};
-use super::plot::toggle_rules;
 use super::scatter::{Point, Series, Titles, scatter};
 use crate::accuracy::outcome::{Accuracy, ChoiceRow, ErrorRow, GAIN_FLOOR, ScaleRow, Splitting, Verdict};
 
@@ -27,9 +27,6 @@ pub fn accuracy_text(outcome: &Accuracy) -> String {
         text.push_str(&format!("{}\n\n", split_sentence(splitting)));
     }
     text.push_str(&findings_text(outcome));
-    for skipped in &outcome.skipped {
-        text.push_str(&format!("skipped {}\n", printable(skipped, 400)));
-    }
     text
 }
 
@@ -217,23 +214,11 @@ fn arranged(rows: &[Vec<String>]) -> String {
 pub fn accuracy_page(outcome: &Accuracy, command: &str) -> String {
     let plots = plots(outcome);
     let most = plots.iter().map(|p| p.1).max().unwrap_or(0);
-    let markup = html! {
-        (DOCTYPE)
-        html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="color-scheme" content="light dark";
-                title { "Foresight: accuracy" }
-                style { (PreEscaped(include_str!("style.css"))) (PreEscaped(toggle_rules(most))) }
-            }
-            body {
-                header {
-                    p.brand { "Foresight" }
+    let header = html! {
                     h1 { "Error against run time of every estimator" }
                     p.subject { (outcome.candidates) " candidates, seed " (outcome.seed) }
-                }
-                main {
+    };
+    let main = html! {
                     section id="findings" {
                         h2 { "What to know first" }
                         @if let Some(splitting) = &outcome.splitting { p { (split_sentence(splitting)) } }
@@ -249,19 +234,15 @@ pub fn accuracy_page(outcome: &Accuracy, command: &str) -> String {
                     @for (heading, rows) in tables(outcome, false) {
                         section {
                             h2 { (heading) }
-                            (table_markup(&rows))
+                            (table("Figures", &rows, false))
                         }
                     }
                     section id="command" {
                         h2 { "To repeat it" }
                         pre.scroll { code { (printable(command, 2000)) } }
-                        @for skipped in &outcome.skipped { p.note { "Skipped: " (printable(skipped, 400)) } }
                     }
-                }
-            }
-        }
     };
-    markup.into_string()
+    document("accuracy", most, header, main)
 }
 
 fn findings(outcome: &Accuracy) -> Markup {
@@ -274,25 +255,6 @@ fn findings(outcome: &Accuracy) -> Markup {
                 details open[verdict == Verdict::Violated] {
                     summary { (heading) ": " (of.len()) " rows" }
                     ul { @for finding in of { li { (printable(&finding.text, 400)) } } }
-                }
-            }
-        }
-    }
-}
-
-fn table_markup(rows: &[Vec<String>]) -> Markup {
-    html! {
-        div.scroll tabindex="0" role="region" aria-label="Figures" {
-            table {
-                thead { tr { @for head in &rows[0] { th scope="col" { (head) } } } }
-                tbody {
-                    @for row in &rows[1..] {
-                        tr {
-                            @for (index, cell) in row.iter().enumerate() {
-                                @if index == 0 { th scope="row" { (cell) } } @else { td { (cell) } }
-                            }
-                        }
-                    }
                 }
             }
         }

@@ -4,6 +4,7 @@ mod accuracy;
 mod alpha;
 mod alpha_sweep;
 mod downsample;
+mod frame;
 mod headline;
 mod map;
 mod metric;

@@ -1,15 +1,16 @@
 //! The page: its sections in order, each with one sentence on how to read it.
 
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{Markup, html};
 
 use super::downsample::{distribution, drawable, extremes, means};
+use super::frame::document;
 use super::headline::{findings, verdict};
 use super::map;
 use super::metric::{Context, METRICS, bound_cell, pressure_word};
 use super::number::{self, MEBIBYTE, duration, fixed, mebibytes, megabytes, printable, significant};
 use super::plot::{
     Axis, BOUND_CLASS, EndLabel, bands, bars, colour_class, end_labels, frame, legend, level, lines, percent,
-    series_class, steps, stroke_class, swatch, toggle_rules,
+    series_class, steps, stroke_class, swatch,
 };
 use super::prices::prices;
 use crate::outcome::{Comparison, PolicyOutcome};
@@ -24,28 +25,15 @@ const LINK_BARS: usize = 240;
 /// The whole page.
 pub(super) fn page(comparison: &Comparison, command: Option<&str>) -> String {
     let inputs = &comparison.inputs;
-    let head = html! {
-        meta charset="utf-8";
-        meta name="viewport" content="width=device-width, initial-scale=1";
-        meta name="color-scheme" content="light dark";
-        title { "Foresight: " (printable(&inputs.world, 60)) }
-        style { (PreEscaped(include_str!("style.css"))) (PreEscaped(toggle_rules(comparison.policies.len()))) }
-    };
-    let markup = html! {
-        (DOCTYPE)
-        html lang="en" {
-            head { (head) }
-            body {
-                header {
-                    p.brand { "Foresight" }
+    let header = html! {
                     h1 { (verdict(comparison)) }
                     p.subject {
                         b { (printable(&inputs.world, 200)) } " along " b { (printable(&inputs.path, 200)) }
                         " over " b { (printable(&inputs.link, 200)) } ", "
                         (duration(inputs.duration_s)) " with " (mebibytes(inputs.memory_bytes as f64)) " of memory"
                     }
-                }
-                main {
+    };
+    let main = html! {
                     section.headline { @for finding in findings(comparison) { p { (finding) } } @if let Some(limits) = &comparison.limits { p { (limits.sentence()) "." } } (caution(comparison)) }
                     (section("figures", "Figures",
                         "A row a policy: higher quality and lower deficit are better, bold is the best of its \
@@ -88,11 +76,8 @@ pub(super) fn page(comparison: &Comparison, command: Option<&str>) -> String {
                         "The pressure figures say whether this comparison can mean anything: with ρ below 0.1 \
                          policies cannot differ.",
                         replayed(comparison, command)))
-                }
-            }
-        }
     };
-    markup.into_string()
+    document(&printable(&inputs.world, 60), comparison.policies.len(), header, main)
 }
 
 fn section(id: &str, heading: &str, how_to_read: &str, content: Markup) -> Markup {

@@ -2,12 +2,13 @@
 
 use comfy_table::presets::NOTHING;
 use comfy_table::{CellAlignment, ContentArrangement, LineStyle, Table};
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{Markup, html};
 
 use super::downsample::{drawable, extremes};
+use super::frame::{document, table};
 use super::metric::{Context, METRICS};
 use super::number::{NEVER, duration, fixed, mebibytes, megabytes, optional, printable, significant};
-use super::plot::{Axis, BOUND_CLASS, frame, legend, lines, percent, series_class, stroke_class, swatch, toggle_rules};
+use super::plot::{Axis, BOUND_CLASS, frame, legend, lines, percent, series_class, stroke_class, swatch};
 use crate::outcome::{Comparison, Limits};
 use crate::policies::knows_the_future;
 use crate::suite::{CaseOutcome, Due, ReplayOutcome, Standing, SuiteOutcome, TIE, Verdict};
@@ -173,23 +174,11 @@ fn cost(outcome: &SuiteOutcome) -> String {
 /// Every case on one self-contained page.
 pub fn suite_page(outcome: &SuiteOutcome) -> String {
     let series = outcome.cases.iter().flat_map(|c| &c.replays).map(|r| r.comparison.policies.len()).max().unwrap_or(0);
-    let markup = html! {
-        (DOCTYPE)
-        html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="color-scheme" content="light dark";
-                title { "Foresight: benchmark suite" }
-                style { (PreEscaped(include_str!("style.css"))) (PreEscaped(toggle_rules(series))) }
-            }
-            body {
-                header {
-                    p.brand { "Foresight" }
+    let header = html! {
                     h1 { "The benchmark suite: foresight against each rival" }
                     p.subject { (cost(outcome)) }
-                }
-                main {
+    };
+    let main = html! {
                     section id="rivals" {
                         h2 { "Against each rival" }
                         p.how {
@@ -214,15 +203,12 @@ pub fn suite_page(outcome: &SuiteOutcome) -> String {
                         section id="limits" {
                             h2 { "What limits foresight" }
                             p.how { (LIMITS_EXPLAINED) }
-                            (plain(&limits(outcome)))
+                            (table("What limits foresight, case by case", &limits(outcome), true))
                         }
                     }
                     @for case in &outcome.cases { (section(case)) }
-                }
-            }
-        }
     };
-    markup.into_string()
+    document("benchmark suite", series, header, main)
 }
 
 /// Where a relative deficit lies on the axis from 1/20 to 2, logarithmic.
@@ -306,24 +292,6 @@ fn matrix(outcome: &SuiteOutcome) -> Markup {
 }
 
 /// Rows as a table, heading first and all cases last.
-fn plain(rows: &[Vec<String>]) -> Markup {
-    html! {
-        div.scroll tabindex="0" role="region" aria-label="What limits foresight, case by case" {
-            table {
-                thead { tr { @for cell in &rows[0] { th scope="col" { (cell) } } } }
-                tbody {
-                    @for (index, row) in rows.iter().enumerate().skip(1) {
-                        tr.goal[index + 1 == rows.len()] {
-                            th scope="row" { (row[0]) }
-                            @for cell in &row[1..] { td { (cell) } }
-                        }
-                    }
-                }
-            }
-        }
-    }
-}
-
 fn section(case: &CaseOutcome) -> Markup {
     html! {
         section id={ "case-" (case.name) } {

@@ -1,6 +1,7 @@
 //! Solid angles of clipped boxes as Taylor models.
 
 use super::model::{Model, ULP, Vector, cross, dot, minus, plus, times};
+use crate::benefit::solid_angle::outline_corners;
 use glam::DVec3;
 
 /// A corner of an outline, from the eye; only its direction matters.
@@ -10,18 +11,9 @@ pub(super) struct Corner {
 }
 
 /// The outline of a box from outside, corner by corner; `beyond` names the axes along which the eye lies beyond it.
-/// As the one of `benefit::solid_angle`.
 pub(super) fn outline(centre: &Vector, half: DVec3, beyond: u8) -> Vec<Corner> {
-    let bits: &[u8] = match beyond {
-        0b001 => &[0, 2, 6, 4],
-        0b010 => &[0, 1, 5, 4],
-        0b100 => &[0, 1, 3, 2],
-        0b011 => &[2, 6, 4, 5, 1, 0],
-        0b101 => &[4, 6, 2, 3, 1, 0],
-        0b110 => &[4, 5, 1, 3, 2, 0],
-        _ => &[1, 3, 2, 6, 4, 5],
-    };
-    bits.iter()
+    outline_corners(u32::from(beyond))
+        .iter()
         .map(|bits| Corner {
             at: [0, 1, 2].map(|k| {
                 let towards = if centre[k].middle() > 0.0 { -half[k] } else { half[k] };
