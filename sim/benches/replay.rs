@@ -3,16 +3,17 @@
 use criterion::{BenchmarkId, Criterion};
 use foresight_index::world::built_in_city;
 use foresight_scheduler::benefit::cut::CutSettings;
+use foresight_scheduler::policy::specification::{PolicySpec, names};
 use foresight_scheduler::scheduler::SchedulerSettings;
 use foresight_scheduler::units::Time;
 use foresight_scheduler::view::View;
 use foresight_sim::bound::{CheapestBeneath, FrameBound, Limits};
-use foresight_sim::client::ClientSettings;
-use foresight_sim::flight::Flight;
-use foresight_sim::link;
-use foresight_sim::path::built_in;
-use foresight_sim::policies::{PolicySpec, names};
+use foresight_sim::future;
 use foresight_sim::replay::{Stage, replay};
+use foresight_traces::client::ClientSettings;
+use foresight_traces::flight::Flight;
+use foresight_traces::link;
+use foresight_traces::path::built_in;
 use std::error::Error;
 use std::hint::black_box;
 use std::time::Duration;
@@ -49,9 +50,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     for name in names() {
         let spec = PolicySpec::parse_list(name, 0.7, None)?.remove(0);
         // Once outside the measurement, so that a failure is not measured but told.
-        replay(stage, spec.build(&tree, &flight, &link, Time::ZERO))?;
+        replay(stage, future::build(&spec, &tree, &flight, &link, Time::ZERO))?;
         group.bench_function(BenchmarkId::from_parameter(name), |b| {
-            b.iter(|| replay(black_box(stage), spec.build(&tree, &flight, &link, Time::ZERO)));
+            b.iter(|| replay(black_box(stage), future::build(&spec, &tree, &flight, &link, Time::ZERO)));
         });
     }
     group.finish();

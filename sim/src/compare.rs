@@ -1,25 +1,26 @@
 //! Several policies over the same world, path and link, and what came of it.
 
 use crate::bound::whole::{self, Bound, Terms};
-use crate::client::ClientSettings;
-use crate::flight::{Flight, TICKS_PER_FRAME, tick_time};
-use crate::link::LinkTrace;
+use crate::future;
 use crate::outcome::{
     AlphaOutcome, Arrival, Comparison, Inputs, Interval, Intervals, Limits, PolicyOutcome, PolicySeries, Pressure,
     RegretOutcome, SCHEMA_VERSION, Series, ShadowPrices, UpperBound,
 };
-use crate::policies::PolicySpec;
 use crate::pressure::Needs;
-use crate::random::SplitMix64;
 use crate::replay::{ReplayError, Run, Stage, replay};
 use crate::stopwatch::percentiles;
 use foresight_scheduler::benefit::coverage::Refinement;
 use foresight_scheduler::benefit::cut::{Cut, CutSettings};
 use foresight_scheduler::lod_tree::{LodTree, RepId};
 use foresight_scheduler::policy::foresight::{AlphaReport, Constraint};
+use foresight_scheduler::policy::specification::PolicySpec;
 use foresight_scheduler::scheduler::SchedulerSettings;
 use foresight_scheduler::state::smallest_closure;
 use foresight_scheduler::units::Time;
+use foresight_traces::client::ClientSettings;
+use foresight_traces::flight::{Flight, TICKS_PER_FRAME, tick_time};
+use foresight_traces::link::LinkTrace;
+use foresight_traces::random::SplitMix64;
 use glam::DVec3;
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, StudentsT};
@@ -161,7 +162,7 @@ pub fn compare(
                 scheduler: SchedulerSettings { budget, refinement, ..plan.scheduler },
                 preloaded: &preloaded,
             };
-            let policy = policies[p].build(plan.tree, plan.flight, link, start);
+            let policy = future::build(&policies[p], plan.tree, plan.flight, link, start);
             let run = replay(stage, policy).map_err(|source| CompareError::Replay {
                 policy: policies[p].label.clone(),
                 start_s: start.secs(),
@@ -446,7 +447,7 @@ fn series(plan: &Plan, bounds: &[Bound], runs: &[(&str, &Run)]) -> Series {
     let north = plan.up.cross(east);
     let flat = |p: DVec3| [east.dot(p), north.dot(p)];
     let frames: Vec<u64> = (0..plan.flight.frames() as u64).map(|f| f * TICKS_PER_FRAME).collect();
-    let frames_per_second = (crate::flight::TICKS_PER_SECOND / TICKS_PER_FRAME) as usize;
+    let frames_per_second = (foresight_traces::flight::TICKS_PER_SECOND / TICKS_PER_FRAME) as usize;
     Series {
         frame_s: frames.iter().map(|&t| tick_time(t).secs()).collect(),
         bound: bounds.first().map(|b| b.frames.clone()).unwrap_or_default(),

@@ -4,10 +4,6 @@
 //! and uploaded; at every tick (60 Hz) the scheduler observes the true view and is asked what to do; at every second
 //! tick the frame is judged by what can be shown.
 
-use crate::client::{ClientSettings, Pipeline};
-use crate::flight::{Flight, TICKS_PER_FRAME, TICKS_PER_SECOND, tick_time};
-use crate::link::LinkTrace;
-use crate::link::shared::SharedLink;
 use crate::stopwatch::Stopwatch;
 use foresight_scheduler::benefit::cut::Cut;
 use foresight_scheduler::benefit::quality::{Quality, evaluate};
@@ -17,6 +13,10 @@ use foresight_scheduler::policy::foresight::AlphaReport;
 use foresight_scheduler::scheduler::{Action, Scheduler, SchedulerError, SchedulerSettings};
 use foresight_scheduler::state::Status;
 use foresight_scheduler::units::Time;
+use foresight_traces::client::{ClientSettings, Pipeline};
+use foresight_traces::flight::{Flight, TICKS_PER_FRAME, TICKS_PER_SECOND, tick_time};
+use foresight_traces::link::LinkTrace;
+use foresight_traces::link::shared::SharedLink;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Actions that a policy may take in one tick before it is called runaway.

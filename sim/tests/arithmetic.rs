@@ -3,15 +3,16 @@
 use foresight_scheduler::benefit::cut::CutSettings;
 use foresight_scheduler::lod_tree::{Aabb, LodTree, LodTreeBuilder, RepId, Representation};
 use foresight_scheduler::policy::Policy;
+use foresight_scheduler::policy::specification::{PolicySpec, names};
 use foresight_scheduler::scheduler::{Action, SchedulerSettings};
 use foresight_scheduler::state::{ClientState, Status};
 use foresight_scheduler::units::Time;
 use foresight_scheduler::view::View;
-use foresight_sim::client::ClientSettings;
-use foresight_sim::flight::{Flight, TICKS_PER_FRAME, tick_time};
-use foresight_sim::link::{LinkTrace, RatePiece};
-use foresight_sim::policies::{PolicySpec, names};
+use foresight_sim::future;
 use foresight_sim::replay::{Run, Stage, replay};
+use foresight_traces::client::ClientSettings;
+use foresight_traces::flight::{Flight, TICKS_PER_FRAME, tick_time};
+use foresight_traces::link::{LinkTrace, RatePiece};
 use glam::{DQuat, DVec3};
 
 const MILLISECOND: Time = Time(1_000_000);
@@ -50,7 +51,7 @@ fn run<'a>(
 }
 
 fn named<'a>(name: &str, tree: &'a LodTree, flight: &Flight, link: &LinkTrace) -> Box<dyn Policy + 'a> {
-    PolicySpec::parse_list(name, 0.7, None).unwrap()[0].build(tree, flight, link, Time::ZERO)
+    future::build(&PolicySpec::parse_list(name, 0.7, None).unwrap()[0], tree, flight, link, Time::ZERO)
 }
 
 /// The first tick at or after a time.

@@ -11,8 +11,8 @@ use foresight_sim::bound::prices::Prices;
 use foresight_sim::bound::shadow::ShadowPrices;
 use foresight_sim::bound::whole::{Terms, bounds};
 use foresight_sim::bound::{CheapestBeneath, Instance, Stratum, bound, exact, tiny};
-use foresight_sim::flight::{TICKS_PER_FRAME, tick_time};
-use foresight_sim::link::LinkTrace;
+use foresight_traces::flight::{TICKS_PER_FRAME, tick_time};
+use foresight_traces::link::LinkTrace;
 use proptest::prelude::*;
 use random_tree::Tape;
 

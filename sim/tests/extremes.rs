@@ -3,15 +3,16 @@
 use foresight_scheduler::benefit::coverage::Refinement;
 use foresight_scheduler::benefit::cut::{Cut, CutSettings, Region};
 use foresight_scheduler::lod_tree::{Aabb, LodTree, LodTreeBuilder, Representation};
+use foresight_scheduler::policy::specification::{PolicySpec, names, rival};
 use foresight_scheduler::scheduler::SchedulerSettings;
 use foresight_scheduler::units::Time;
 use foresight_scheduler::view::View;
 use foresight_sim::bound::{CheapestBeneath, FrameBound, Limits};
-use foresight_sim::client::ClientSettings;
-use foresight_sim::flight::{Flight, TICKS_PER_FRAME, tick_time};
-use foresight_sim::link::LinkTrace;
-use foresight_sim::policies::{PolicySpec, names, rival};
+use foresight_sim::future;
 use foresight_sim::replay::{Run, Stage, replay};
+use foresight_traces::client::ClientSettings;
+use foresight_traces::flight::{Flight, TICKS_PER_FRAME, tick_time};
+use foresight_traces::link::LinkTrace;
 use glam::{DQuat, DVec3};
 
 const RTT: Time = Time(20_000_000);
@@ -72,7 +73,7 @@ fn replay_all(tree: &LodTree, flight: &Flight, link: &LinkTrace, budget: u64, op
                 scheduler,
                 preloaded: &[],
             };
-            let run = replay(stage, spec.build(tree, flight, link, Time::ZERO)).unwrap();
+            let run = replay(stage, future::build(&spec, tree, flight, link, Time::ZERO)).unwrap();
             for (frame, quality) in run.frames.iter().enumerate() {
                 assert!(quality.benefit.is_finite() && quality.weight.is_finite(), "{text}: {quality:?}");
                 assert!(run.memory[frame] <= budget, "{text}");

@@ -3,16 +3,17 @@
 use foresight_index::generate::city::{CityParams, city};
 use foresight_scheduler::benefit::cut::{Cut, CutSettings};
 use foresight_scheduler::lod_tree::LodTree;
+use foresight_scheduler::policy::specification::{PolicySpec, names};
 use foresight_scheduler::scheduler::SchedulerSettings;
 use foresight_scheduler::units::Time;
 use foresight_scheduler::view::View;
-use foresight_sim::client::ClientSettings;
-use foresight_sim::flight::Flight;
-use foresight_sim::link::{LinkTrace, RttPiece};
-use foresight_sim::path::CameraPath;
-use foresight_sim::path::turn::turn;
-use foresight_sim::policies::{PolicySpec, names};
+use foresight_sim::future;
 use foresight_sim::replay::{Run, Stage, replay};
+use foresight_traces::client::ClientSettings;
+use foresight_traces::flight::Flight;
+use foresight_traces::link::{LinkTrace, RttPiece};
+use foresight_traces::path::CameraPath;
+use foresight_traces::path::turn::turn;
 use glam::DVec3;
 
 const BUDGET: u64 = 64 << 20;
@@ -50,7 +51,7 @@ impl Scene {
             preloaded: &[],
         };
         let spec = PolicySpec::parse_list(policy, 0.7, None).expect("the policy exists").remove(0);
-        let policy = spec.build(&self.tree, &self.flight, link, Time::ZERO);
+        let policy = future::build(&spec, &self.tree, &self.flight, link, Time::ZERO);
         replay(stage, policy).unwrap_or_else(|error| panic!("{}: {error}", spec.label))
     }
 }

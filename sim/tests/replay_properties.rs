@@ -7,18 +7,19 @@ use foresight_scheduler::benefit::coverage::Refinement;
 use foresight_scheduler::benefit::cut::{Cut, CutSettings};
 use foresight_scheduler::lod_tree::{LodTree, RepId};
 use foresight_scheduler::policy::Policy;
+use foresight_scheduler::policy::specification::{PolicySpec, names, rival};
 use foresight_scheduler::scheduler::{Action, SchedulerSettings};
 use foresight_scheduler::state::{ClientState, Status};
 use foresight_scheduler::units::Time;
 use foresight_scheduler::view::View;
 use foresight_sim::bound::{CheapestBeneath, FrameBound, Limits};
-use foresight_sim::client::ClientSettings;
 use foresight_sim::compare::{Memory, Plan, compare};
-use foresight_sim::flight::{Flight, TICKS_PER_FRAME, tick_time};
-use foresight_sim::link::{LinkTrace, RatePiece, RttPiece};
+use foresight_sim::future;
 use foresight_sim::outcome::Inputs;
-use foresight_sim::policies::{PolicySpec, names, rival};
 use foresight_sim::replay::{Run, Stage, replay};
+use foresight_traces::client::ClientSettings;
+use foresight_traces::flight::{Flight, TICKS_PER_FRAME, tick_time};
+use foresight_traces::link::{LinkTrace, RatePiece, RttPiece};
 use glam::{DQuat, DVec3};
 use proptest::prelude::*;
 use random_tree::Tape;
@@ -212,7 +213,7 @@ impl World {
     /// Replays and tells what the scheduler last knew to have arrived without being shown, wire bytes.
     fn replay(&self, spec: &PolicySpec) -> Result<(Run, u64), String> {
         let seen = Arc::new(Mutex::new(Seen::default()));
-        let inner = spec.build(&self.tree, &self.flight, &self.link, self.link_start);
+        let inner = future::build(&spec, &self.tree, &self.flight, &self.link, self.link_start);
         let watched = Watched { inner, seen: Arc::clone(&seen) };
         let run = replay(self.stage(), Box::new(watched)).map_err(|e| format!("{}: {e}", spec.label))?;
         let seen = *seen.lock().map_err(|e| e.to_string())?;

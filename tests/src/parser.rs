@@ -8,8 +8,8 @@ use foresight_index::generate::document;
 use foresight_index::generate::terrain::TerrainParams;
 use foresight_index::import::{cityjson, elevation, tiles3d};
 use foresight_index::manifest;
-use foresight_sim::path::parse::{Format, Options};
-use foresight_sim::{link, path};
+use foresight_traces::path::parse::{Format, Options};
+use foresight_traces::{link, path};
 
 /// A parser: accepted, or refused with its message.
 pub type Parser = fn(&[u8]) -> Result<(), String>;

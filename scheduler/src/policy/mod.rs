@@ -90,6 +90,7 @@
 pub mod added_benefit;
 mod downloads;
 pub mod foresight;
+pub mod specification;
 mod tileset;
 
 /// Declares the module of each rival and lists its [`Rival`].

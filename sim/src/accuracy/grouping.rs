@@ -5,12 +5,12 @@ use super::outcome::{ErrorRow, Kind};
 use super::record::Record;
 use super::situation::Situation;
 use super::statistics::relative_error;
-use crate::random::SplitMix64;
 use crate::stopwatch::Stopwatch;
 use foresight_scheduler::benefit::cut::CutSettings;
 use foresight_scheduler::lod_tree::{LodTree, NodeId, RepId};
 use foresight_scheduler::policy::foresight::ForesightSettings;
 use foresight_scheduler::select::horizon::{Horizon, HorizonSettings};
+use foresight_traces::random::SplitMix64;
 
 /// Opening angles measured, beside the default.
 const ANGLES: [f64; 5] = [0.6, 0.3, 0.15, 0.075, 0.0375];

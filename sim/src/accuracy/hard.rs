@@ -2,10 +2,10 @@
 
 use super::outcome::Kind;
 use super::scene::Scene;
-use crate::random::SplitMix64;
 use foresight_scheduler::benefit::cut::CutSettings;
 use foresight_scheduler::integral::{AddedBenefit, IntegralError, Leg, Target};
 use foresight_scheduler::view::View;
+use foresight_traces::random::SplitMix64;
 use glam::{DQuat, DVec3};
 use std::f64::consts::{PI, TAU};
 

@@ -20,7 +20,7 @@ pub mod upper_bound;
 pub mod worst_case;
 
 /// The stream of numbers from which candidates are drawn.
-pub use crate::random::SplitMix64 as Draws;
+pub use foresight_traces::random::SplitMix64 as Draws;
 
 /// The parts of the measurement, in the order in which they run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

@@ -2,9 +2,6 @@
 //! over a simulated link and client, with a clock beside it.
 
 use super::outcome::{Percentiles, ScaleRow};
-use crate::client::{ClientSettings, Pipeline};
-use crate::link::LinkTrace;
-use crate::link::shared::SharedLink;
 use crate::stopwatch::{Stopwatch, percentiles};
 use foresight_scheduler::lod_tree::{LodTree, RepId};
 use foresight_scheduler::policy::Policy;
@@ -13,6 +10,9 @@ use foresight_scheduler::select::certified::Certificate;
 use foresight_scheduler::state::Status;
 use foresight_scheduler::units::Time;
 use foresight_scheduler::view::View;
+use foresight_traces::client::{ClientSettings, Pipeline};
+use foresight_traces::link::LinkTrace;
+use foresight_traces::link::shared::SharedLink;
 use glam::{DQuat, DVec3};
 use std::collections::BTreeMap;
 use std::f64::consts::PI;

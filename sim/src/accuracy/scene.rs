@@ -2,12 +2,12 @@
 
 use super::outcome::Kind;
 use super::situation::Situation;
-use crate::random::SplitMix64;
 use foresight_scheduler::benefit::cut::{Cut, CutSettings, Region};
 use foresight_scheduler::benefit::frustum::{Frustum, Side};
 use foresight_scheduler::integral::{AddedBenefit, Leg, Target};
 use foresight_scheduler::lod_tree::{LodTree, NodeId};
 use foresight_scheduler::policy::foresight::ForesightSettings;
+use foresight_traces::random::SplitMix64;
 
 /// Candidates that are compared with each other.
 #[derive(Clone, Debug)]

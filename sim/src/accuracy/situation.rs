@@ -1,8 +1,5 @@
 //! Moments of a replay, kept so that every estimator can be asked about the same.
 
-use crate::client::ClientSettings;
-use crate::flight::{Flight, tick_time};
-use crate::link::LinkTrace;
 use crate::replay::{ReplayError, Stage, replay};
 use foresight_scheduler::benefit::coverage::Coverage;
 use foresight_scheduler::benefit::cut::{Cut, Region};
@@ -15,6 +12,9 @@ use foresight_scheduler::scheduler::{Action, SchedulerSettings};
 use foresight_scheduler::state::ClientState;
 use foresight_scheduler::units::Time;
 use foresight_scheduler::view::View;
+use foresight_traces::client::ClientSettings;
+use foresight_traces::flight::{Flight, tick_time};
+use foresight_traces::link::LinkTrace;
 use std::sync::{Arc, Mutex};
 
 /// A world, a flight and a link on which situations are captured.

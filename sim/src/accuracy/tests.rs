@@ -5,14 +5,14 @@ use super::outcome::{Accuracy, Kind, SCHEMA_VERSION, Verdict};
 use super::situation::{Source, capture};
 use super::worst_case::WorstCases;
 use super::{Draws, grouping, hard, scale, scene};
-use crate::flight::Flight;
-use crate::link;
-use crate::path;
 use foresight_index::generate::city::{CityParams, city};
 use foresight_index::world::World;
 use foresight_scheduler::policy::foresight::{Foresight, ForesightSettings};
 use foresight_scheduler::units::Time;
 use foresight_scheduler::view::View;
+use foresight_traces::flight::Flight;
+use foresight_traces::link;
+use foresight_traces::path;
 use serde_json::Value;
 
 fn small_city() -> World {
@@ -120,7 +120,7 @@ fn a_small_run_repeats_proves_what_it_says_and_names_what_lies() {
 #[test]
 fn decisions_are_timed_in_each_situation() {
     let world = small_city();
-    let link = crate::link::LinkTrace::constant("constant", 8_000_000, Time(40_000_000)).expect("a link");
+    let link = foresight_traces::link::LinkTrace::constant("constant", 8_000_000, Time(40_000_000)).expect("a link");
     for motion in scale::Motion::ALL {
         let policy = Box::new(Foresight::new("foresight", ForesightSettings::default()));
         let row = scale::decisions(&world.tree, motion, &link, 12, policy).expect("legal events");

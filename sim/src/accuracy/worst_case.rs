@@ -5,7 +5,6 @@ use super::outcome::{ErrorRow, Kind};
 use super::record::{Answer, Record};
 use super::situation::Situation;
 use super::statistics::{relative_error, share};
-use crate::random::SplitMix64;
 use crate::stopwatch::Stopwatch;
 use foresight_scheduler::benefit::coverage::Coverage;
 use foresight_scheduler::benefit::cut::{Cut, CutSettings, Region};
@@ -19,6 +18,7 @@ use foresight_scheduler::worst_case::neighbourhood::Neighbourhood;
 use foresight_scheduler::worst_case::target::Targets;
 use foresight_scheduler::worst_case::union::{self, UnionSettings};
 use foresight_scheduler::worst_case::{WorstCaseError, WorstCaseKind, union_cut};
+use foresight_traces::random::SplitMix64;
 use std::collections::BTreeMap;
 
 /// Opening angles of the cut that decisions use.

@@ -17,10 +17,10 @@
 //! short.
 
 use super::tiny::Instance;
-use crate::flight::{TICKS_PER_FRAME, tick_time};
 use foresight_scheduler::benefit::accuracy::accuracy;
 use foresight_scheduler::lod_tree::{LodTree, RepId};
 use foresight_scheduler::units::Time;
+use foresight_traces::flight::{TICKS_PER_FRAME, tick_time};
 
 /// Most representations that are gone through.
 pub const REPRESENTATIONS_MAX: usize = 12;

@@ -7,13 +7,13 @@
 //! Nothing has a prerequisite, and a group never is one target.
 
 use super::whole::{self, Terms};
-use crate::flight::{Flight, TICKS_PER_FRAME, tick_time};
-use crate::link::{LinkTrace, OPPORTUNITY_BYTES};
-use crate::random::SplitMix64;
 use foresight_scheduler::benefit::cut::{Cut, CutSettings};
 use foresight_scheduler::lod_tree::{Aabb, LodTree, LodTreeBuilder, LodTreeError, Representation};
 use foresight_scheduler::units::Time;
 use foresight_scheduler::view::View;
+use foresight_traces::flight::{Flight, TICKS_PER_FRAME, tick_time};
+use foresight_traces::link::{LinkTrace, OPPORTUNITY_BYTES};
+use foresight_traces::random::SplitMix64;
 use glam::{DQuat, DVec3};
 
 /// Frames of an instance.
@@ -153,7 +153,7 @@ fn flight(random: &mut SplitMix64) -> Flight {
 }
 
 /// Packets at most one between two frames, spread evenly but for chance and an outage.
-fn link(random: &mut SplitMix64, packets: usize) -> Result<LinkTrace, crate::link::LinkError> {
+fn link(random: &mut SplitMix64, packets: usize) -> Result<LinkTrace, foresight_traces::link::LinkError> {
     let outage = (random.uniform() * 80.0) as usize;
     let gaps: Vec<usize> = (0..FRAMES).filter(|gap| !(outage..outage + 15).contains(gap)).collect();
     let mut instants = Vec::new();

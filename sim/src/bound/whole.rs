@@ -3,11 +3,11 @@
 use super::ascent::{self, Proof};
 use super::frame::{self, CheapestBeneath, FrameBound, FrameDual, Limits};
 use super::over_time::{OverTime, Supply};
-use crate::flight::{TICKS_PER_FRAME, TICKS_PER_SECOND, tick_time};
-use crate::link::LinkTrace;
 use foresight_scheduler::benefit::cut::Cut;
 use foresight_scheduler::lod_tree::LodTree;
 use foresight_scheduler::units::Time;
+use foresight_traces::flight::{TICKS_PER_FRAME, TICKS_PER_SECOND, tick_time};
+use foresight_traces::link::LinkTrace;
 use rayon::prelude::*;
 
 /// Says how a bound over time was proven, in every report.
@@ -19,7 +19,7 @@ pub const METHOD_OVER_TIME: &str = "over time, with what is fetched again: Lagra
 pub struct Terms<'a> {
     /// The world.
     pub tree: &'a LodTree,
-    /// One a sampled frame, as [`crate::flight::Flight::cuts`] makes them.
+    /// One a sampled frame, as [`foresight_traces::flight::Flight::cuts`] makes them.
     pub cuts: &'a [Cut],
     /// The link.
     pub link: &'a LinkTrace,

@@ -15,9 +15,9 @@ use foresight_sim::accuracy::outcome::{Accuracy, SCHEMA_VERSION};
 use foresight_sim::accuracy::situation::{self, Source};
 use foresight_sim::accuracy::worst_case::WorstCases;
 use foresight_sim::accuracy::{Draws, findings, grouping, hard, scale, scene, upper_bound};
-use foresight_sim::link::LinkTrace;
 use foresight_sim::report;
 use foresight_sim::suite::CASES;
+use foresight_traces::link::LinkTrace;
 use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
 

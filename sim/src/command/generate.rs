@@ -1,6 +1,5 @@
 //! `generate`: worlds of any size, and recordings of paths.
 
-use super::inputs::{self, PathArgs};
 use anyhow::Context;
 use clap::{Args, Subcommand};
 use foresight_index::generate::asteroids::{self, AsteroidParams};
@@ -9,7 +8,8 @@ use foresight_index::generate::document::{self, Params};
 use foresight_index::generate::mosaic;
 use foresight_index::generate::terrain::{self, TerrainParams};
 use foresight_index::generate::tileset::Written;
-use foresight_sim::path::recording::Writer;
+use foresight_traces::arguments::{self, PathArgs};
+use foresight_traces::path::recording::Writer;
 use std::ffi::OsString;
 use std::io::{BufWriter, IsTerminal, Write};
 use std::path::{Path, PathBuf};
@@ -175,8 +175,8 @@ pub(crate) fn run(args: GenerateArgs) -> anyhow::Result<()> {
 }
 
 fn record(args: &PathToRecord) -> anyhow::Result<()> {
-    let path = inputs::open_path(args.path.as_deref(), &args.path_args)?;
-    let samples = inputs::samples(&path, &args.path_args)?;
+    let path = arguments::open_path(args.path.as_deref(), &args.path_args)?;
+    let samples = arguments::samples(&path, &args.path_args)?;
     // Beside it first: a recording is there whole or not at all.
     let mut beside = OsString::from(&args.out);
     beside.push(".partial");

@@ -3,7 +3,6 @@
 mod accuracy;
 mod alpha_sweep;
 mod generate;
-mod inputs;
 mod inspect;
 mod replay;
 #[cfg(feature = "runs")]

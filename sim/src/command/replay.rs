@@ -1,21 +1,21 @@
 //! `replay`: compares policies.
 
-use super::inputs::{self, PathArgs, Placed};
 use super::runs::Recorder;
 use anyhow::{Context, bail};
 use clap::Args;
 use foresight_index::world::World;
 use foresight_scheduler::benefit::coverage::Refinement;
 use foresight_scheduler::benefit::cut::CutSettings;
+use foresight_scheduler::policy::specification::{PolicySpec, Trust};
 use foresight_scheduler::scheduler::SchedulerSettings;
-use foresight_sim::client::ClientSettings;
 use foresight_sim::compare::{Memory, Plan, compare, starts};
-use foresight_sim::link::LinkTrace;
 use foresight_sim::outcome::{Comparison, Inputs};
-use foresight_sim::path::CameraPath;
-use foresight_sim::policies::{PolicySpec, Trust};
 use foresight_sim::report;
 use foresight_sim::stopwatch::Stopwatch;
+use foresight_traces::arguments::{self, PathArgs, Placed};
+use foresight_traces::client::ClientSettings;
+use foresight_traces::link::LinkTrace;
+use foresight_traces::path::CameraPath;
 use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
 
@@ -250,11 +250,11 @@ pub(crate) struct Opened {
 /// Opens what the arguments name and puts the path into the world.
 pub(crate) fn open(args: &ReplayArgs) -> anyhow::Result<Opened> {
     // Links and paths are small: what is wrong with them is said before a world is loaded.
-    let link = inputs::open_link(args.link.as_deref())?.with_loss_seed(args.seed);
-    let path = inputs::open_path(args.path.as_deref(), &args.path_args)?;
-    let (world_name, world) = inputs::open_world(args.world.as_deref())?;
+    let link = arguments::open_link(args.link.as_deref())?.with_loss_seed(args.seed);
+    let path = arguments::open_path(args.path.as_deref(), &args.path_args)?;
+    let (world_name, world) = arguments::open_world(args.world.as_deref())?;
     let as_is = args.world.is_none() && args.path.is_none();
-    let placed = inputs::place(&path, &world, as_is, &args.path_args)?;
+    let placed = arguments::place(&path, &world, as_is, &args.path_args)?;
     Ok(Opened { link, path, world_name, world, placed })
 }
 
@@ -330,7 +330,7 @@ pub(crate) fn execute(args: &ReplayArgs, progress: &(dyn Fn(usize, usize) + Sync
         let failures = failures.collect::<Vec<_>>().join(", ");
         comparison.warnings.push(format!("{} % of the requests fail; failures: {failures}", link.loss() * 100.0));
     }
-    comparison.warnings.extend(inputs::world_notes(&world, 5));
+    comparison.warnings.extend(arguments::world_notes(&world, 5));
     comparison.warnings.extend(placed.notes.iter().map(|n| format!("path: {n}")));
     comparison.warnings.extend(link.notes().iter().map(|n| format!("link: {n}")));
     Ok(comparison)

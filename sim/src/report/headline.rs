@@ -3,7 +3,7 @@
 use super::metric::pressure_word;
 use super::number::{fixed, optional, printable, significant};
 use crate::outcome::{Comparison, PolicyOutcome, relative_deficit};
-use crate::policies::knows_the_future;
+use foresight_scheduler::policy::specification::knows_the_future;
 
 /// Longest name in a sentence, characters.
 const NAME_LIMIT: usize = 60;

@@ -10,8 +10,8 @@ use super::metric::{Context, METRICS};
 use super::number::{NEVER, duration, fixed, mebibytes, megabytes, optional, printable, significant};
 use super::plot::{Axis, BOUND_CLASS, frame, legend, lines, percent, series_class, stroke_class, swatch};
 use crate::outcome::{Comparison, Limits};
-use crate::policies::knows_the_future;
 use crate::suite::{CaseOutcome, Due, ReplayOutcome, Standing, SuiteOutcome, TIE, Verdict};
+use foresight_scheduler::policy::specification::knows_the_future;
 
 /// Most points of a curve over time.
 const CURVE_POINTS: usize = 500;

@@ -6,15 +6,16 @@ use foresight_index::world::{self, World};
 use foresight_scheduler::benefit::coverage::Refinement;
 use foresight_scheduler::benefit::frustum::Frustum;
 use foresight_scheduler::lod_tree::RepId;
+use foresight_scheduler::policy::specification::PolicySpec;
 use foresight_scheduler::scheduler::SchedulerSettings;
 use foresight_scheduler::units::Time;
 use foresight_scheduler::view::View;
-use foresight_sim::client::ClientSettings;
-use foresight_sim::flight::{Flight, TICKS_PER_SECOND};
-use foresight_sim::link::{self, LinkTrace};
-use foresight_sim::path::{self, CameraPath, Placement, place::Site};
-use foresight_sim::policies::PolicySpec;
+use foresight_sim::future;
 use foresight_sim::replay::{ReplayError, Stage, replay};
+use foresight_traces::client::ClientSettings;
+use foresight_traces::flight::{Flight, TICKS_PER_SECOND};
+use foresight_traces::link::{self, LinkTrace};
+use foresight_traces::path::{self, CameraPath, Placement, place::Site};
 use glam::DVec3;
 
 use super::{Ask, Asked};
@@ -54,7 +55,7 @@ pub struct Case {
 pub enum CaseError {
     /// No such policy.
     #[error(transparent)]
-    Policy(#[from] foresight_sim::policies::PolicySpecError),
+    Policy(#[from] foresight_scheduler::policy::specification::PolicySpecError),
     /// The replay failed.
     #[error("policy {policy}: {source}")]
     Replay {
@@ -171,7 +172,7 @@ impl Case {
             scheduler: SchedulerSettings { refinement, ..SchedulerSettings::with_budget(self.budget) },
             preloaded: &[],
         };
-        let run = replay(stage, spec.build(tree, &self.flight, &self.link, Time::ZERO))
+        let run = replay(stage, future::build(&spec, tree, &self.flight, &self.link, Time::ZERO))
             .map_err(|source| CaseError::Replay { policy: policy.to_owned(), source })?;
         let requests = run.requests.iter().map(|r| Asked { at_s: r.at.secs(), rep: r.rep }).collect();
         Ok(Replayed { requests, cancelled: run.cancellations })

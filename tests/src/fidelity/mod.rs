@@ -2,7 +2,7 @@
 //! what they ask for, and in which order, with the policies that stand for them.
 //!
 //! Both sides get the same: a tileset written from the simulator's own tree, so that its boxes and errors are those that
-//! the policy sees; the camera at 60 Hz; a link shared as [`foresight_sim::link::SharedLink`] shares it, here in real
+//! the policy sees; the camera at 60 Hz; a link shared as [`foresight_traces::link::SharedLink`] shares it, here in real
 //! time on this machine's loopback; the same budget. What differs is what is measured: the viewer's own rules against
 //! their port. The time that this machine takes to parse and draw enters as well: hence several runs, whose agreement
 //! with each other is the most that can be asked of a port.

@@ -1,7 +1,7 @@
 //! What the page is given: the case as JSON, and the tree as a 3D Tiles tileset.
 
 use foresight_scheduler::lod_tree::{LodTree, NodeId};
-use foresight_sim::flight::TICKS_PER_SECOND;
+use foresight_traces::flight::TICKS_PER_SECOND;
 use serde_json::{Map, Value, json};
 
 use super::case::Case;

@@ -13,8 +13,8 @@ use std::time::Duration;
 
 use foresight_scheduler::lod_tree::RepId;
 use foresight_scheduler::units::Time;
-use foresight_sim::link::{LinkTrace, SharedLink};
 use foresight_sim::stopwatch::Stopwatch;
+use foresight_traces::link::{LinkTrace, SharedLink};
 
 /// How often responses proceed.
 const PACE: Duration = Duration::from_millis(1);

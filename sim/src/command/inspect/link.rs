@@ -1,6 +1,6 @@
 //! What a link delivers.
 
-use foresight_sim::link::{LinkStatistics, LinkTrace};
+use foresight_traces::link::{LinkStatistics, LinkTrace};
 use std::io::Write;
 
 pub(super) fn describe(out: &mut impl Write, file: &str, link: &LinkTrace) -> std::io::Result<()> {

@@ -4,16 +4,16 @@ mod link;
 mod path;
 mod world;
 
-use super::inputs::{self, PathArgs};
 use anyhow::bail;
 use clap::Args;
 use foresight_index::specification;
 use foresight_index::world::{World, WorldError};
 use foresight_scheduler::benefit::cut::CutSettings;
-use foresight_sim::link::LinkTrace;
 use foresight_sim::outcome::regime;
-use foresight_sim::path::{CameraPath, parse::is_path_like};
 use foresight_sim::pressure::Needs;
+use foresight_traces::arguments::{self, PathArgs};
+use foresight_traces::link::LinkTrace;
+use foresight_traces::path::{CameraPath, parse::is_path_like};
 use std::io::Write;
 use std::path::Path;
 
@@ -36,9 +36,9 @@ enum Input {
 /// Tries the three kinds; if none fits, says why each does not. A table of positions and bitrates is a path and a link.
 fn recognise(file: &str, args: &PathArgs) -> anyhow::Result<Vec<Input>> {
     if specification::is_specification(file) {
-        return Ok(vec![Input::World(Box::new(inputs::world_named(file)?))]);
+        return Ok(vec![Input::World(Box::new(arguments::world_named(file)?))]);
     }
-    let generated = file.starts_with("constant:") || inputs::MADE_PATHS.iter().any(|made| file.starts_with(made));
+    let generated = file.starts_with("constant:") || arguments::MADE_PATHS.iter().any(|made| file.starts_with(made));
     if !generated && !Path::new(file.split(',').next().unwrap_or(file)).exists() {
         bail!("{file}: no such file or directory; expected a world, a path or a link");
     }
@@ -46,8 +46,8 @@ fn recognise(file: &str, args: &PathArgs) -> anyhow::Result<Vec<Input>> {
     if (path.is_dir() || path.extension().is_some_and(|e| e == "json")) && !is_path_like(path) {
         return Ok(vec![Input::World(Box::new(foresight_index::world::open(path)?))]);
     }
-    let as_path = inputs::open_vehicle(Some(file), args);
-    let as_link = || foresight_sim::link::parse::from_specification(file);
+    let as_path = arguments::open_vehicle(Some(file), args);
+    let as_link = || foresight_traces::link::parse::from_specification(file);
     match as_path {
         Ok(path) => {
             let link = if Path::new(file).is_file() { as_link().ok() } else { None };
@@ -76,7 +76,7 @@ pub(crate) fn run(args: &InspectArgs) -> anyhow::Result<()> {
                 }
                 Input::Path(path) => {
                     path::describe(&mut out, file, &path)?;
-                    paths.push(inputs::carry_head(path, &args.path_args)?);
+                    paths.push(arguments::carry_head(path, &args.path_args)?);
                 }
                 Input::Link(link) => {
                     link::describe(&mut out, file, &link)?;
@@ -104,7 +104,7 @@ fn pressure(
     links: &[LinkTrace],
     args: &PathArgs,
 ) -> anyhow::Result<()> {
-    let placed = inputs::place(path, world, false, args)?;
+    let placed = arguments::place(path, world, false, args)?;
     let cuts = placed.flight.cuts(&world.tree, &CutSettings::default());
     let needs = Needs::new(&world.tree, &cuts);
     let seen = cuts.iter().filter(|c| c.total_weight > 0.0).count();

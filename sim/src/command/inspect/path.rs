@@ -1,6 +1,6 @@
 //! What a path contains.
 
-use foresight_sim::path::{CameraPath, PathFacts};
+use foresight_traces::path::{CameraPath, PathFacts};
 use std::io::Write;
 
 pub(super) fn describe(out: &mut impl Write, file: &str, path: &CameraPath) -> std::io::Result<()> {

@@ -1,18 +1,12 @@
-//! The policies by name, with their options.
+//! The policies by name, with their options, as commands and configurations name them: `name[:key=value…]`.
 
-use crate::flight::{Flight, tick_time};
-use crate::link::LinkTrace;
-use foresight_scheduler::lod_tree::LodTree;
-use foresight_scheduler::policy::foresight::{
-    AT_LEAST, AlphaRule, ChoiceMethod, Discards, Foresight, ForesightSettings,
-};
-use foresight_scheduler::policy::{Policy, RIVALS, Rival, RivalSettings, added_benefit};
-use foresight_scheduler::predict::{PredictedPath, Predictor, PredictorKind, known_path::KnownPath};
-use foresight_scheduler::setting::SettingError;
-use foresight_scheduler::units::Time;
-use foresight_scheduler::view::View;
-use foresight_scheduler::worst_case::WorstCaseKind;
-use foresight_scheduler::worst_case::neighbourhood::NeighbourhoodKind;
+use super::foresight::{AT_LEAST, AlphaRule, ChoiceMethod, Discards, Foresight, ForesightSettings};
+use super::{Policy, RIVALS, Rival, RivalSettings, added_benefit};
+use crate::lod_tree::LodTree;
+use crate::predict::PredictorKind;
+use crate::setting::SettingError;
+use crate::worst_case::WorstCaseKind;
+use crate::worst_case::neighbourhood::NeighbourhoodKind;
 use std::str::FromStr;
 
 /// Names in the order of the comparison: those that follow the objective around the rivals of [`RIVALS`].
@@ -324,67 +318,27 @@ impl PolicySpec {
         rival(self.name).is_some_and(|rival| rival.error_target_px.is_some())
     }
 
-    /// The policy itself, for one replay.
-    pub fn build<'a>(&self, tree: &'a LodTree, flight: &Flight, link: &LinkTrace, start: Time) -> Box<dyn Policy + 'a> {
+    /// The name without its options.
+    pub fn name(&self) -> &'static str {
+        self.name
+    }
+
+    /// Whether it is given the true path: no client could run it.
+    pub fn knows_the_future(&self) -> bool {
+        self.true_path
+    }
+
+    /// The policy, for one client. One that knows the future gets what it knows from
+    /// [`Foresight::with_predictor`] and [`Foresight::with_oracle`]; made here, it knows what the client announces.
+    pub fn build<'a>(&self, tree: &'a LodTree) -> Box<dyn Policy + 'a> {
         match rival(self.name) {
             Some(rival) => {
                 let parallel = self.parallel.unwrap_or(rival.parallel);
                 (rival.build)(tree, &RivalSettings { error_target_px: self.error_target_px, parallel })
             }
-            None if self.true_path => {
-                let path: Vec<_> =
-                    flight.views.iter().enumerate().map(|(i, view)| (tick_time(i as u64), *view)).collect();
-                let predictor = TruePath::new(&path);
-                let policy = Foresight::with_predictor(self.label.clone(), self.settings, Box::new(predictor));
-                if self.name == "clairvoyant" {
-                    let link = link.shifted(start);
-                    Box::new(policy.with_oracle(Box::new(move |now, bytes| seconds_until(&link, now, bytes))))
-                } else {
-                    Box::new(policy)
-                }
-            }
             None => Box::new(Foresight::new(self.label.clone(), self.settings)),
         }
     }
-}
-
-/// Predicts the path that is flown, whatever the client announces.
-struct TruePath(KnownPath);
-
-impl TruePath {
-    fn new(path: &[(Time, View)]) -> TruePath {
-        let mut known = KnownPath::default();
-        known.announce_path(path);
-        TruePath(known)
-    }
-}
-
-impl Predictor for TruePath {
-    fn observe(&mut self, view: &View, now: Time) {
-        self.0.observe(view, now);
-    }
-
-    fn predict(&self, now: Time, offsets: &[f64]) -> Vec<PredictedPath> {
-        self.0.predict(now, offsets)
-    }
-}
-
-/// Seconds until the link has delivered `bytes` after a request at `now`, at the round trip there; at most an hour. That a
-/// request may fail is not known to it.
-fn seconds_until(link: &LinkTrace, now: Time, bytes: u64) -> f64 {
-    let rtt = link.rtt_at(now);
-    let from = now + rtt;
-    let (mut low, mut high) = (0u64, 3_600_000_000_000u64);
-    // To the millisecond: finer than any decision resolves.
-    while high - low > 1_000_000 {
-        let middle = low + (high - low) / 2;
-        if link.bytes_deliverable(from, from + Time(middle)) >= bytes {
-            high = middle;
-        } else {
-            low = middle;
-        }
-    }
-    rtt.secs() + Time(high).secs()
 }
 
 #[cfg(test)]

@@ -1,14 +1,14 @@
 //! Worlds, paths and links as named on the command line.
 
+use crate::flight::Flight;
+use crate::link::{self, LinkTrace};
+use crate::path::{self, Axis, CameraAxes, CameraPath, Look, Placement, QuatOrder};
+use crate::path::{head::Head, look, parse::Options, recording::Sample};
 use anyhow::{Context, bail};
 use clap::Args;
 use foresight_index::specification::{self, Progress};
 use foresight_index::world::{self, World};
 use foresight_scheduler::view::View;
-use foresight_sim::flight::Flight;
-use foresight_sim::link::{self, LinkTrace};
-use foresight_sim::path::{self, Axis, CameraAxes, CameraPath, Look, Placement, QuatOrder};
-use foresight_sim::path::{head::Head, look, parse::Options, recording::Sample};
 use std::io::IsTerminal;
 use std::path::Path;
 use std::sync::Arc;
@@ -16,7 +16,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 /// How a path is read and put into the world; shared by `replay` and `inspect`.
 #[derive(Clone, Debug, Args)]
-pub(crate) struct PathArgs {
+pub struct PathArgs {
     /// The camera's forward and up axes in the recording, such as -y/+z; found from the motion if not given
     #[arg(long, value_name = "FORWARD/UP", allow_hyphen_values = true)]
     camera_axes: Option<CameraAxes>,
@@ -89,7 +89,7 @@ impl Default for PathArgs {
 
 impl PathArgs {
     /// The head's specification, if one rides.
-    pub(crate) fn head(&self) -> Option<&str> {
+    pub fn head(&self) -> Option<&str> {
         self.head.as_deref()
     }
 
@@ -135,7 +135,7 @@ fn epsg(text: &str) -> Result<u32, String> {
 }
 
 /// A world with the name under which it was asked for.
-pub(crate) fn open_world(name: Option<&str>) -> anyhow::Result<(String, World)> {
+pub fn open_world(name: Option<&str>) -> anyhow::Result<(String, World)> {
     match name {
         None => Ok(("built-in city".to_owned(), world::built_in_city())),
         Some(name) => Ok((name.to_owned(), world_named(name)?)),
@@ -144,7 +144,7 @@ pub(crate) fn open_world(name: Option<&str>) -> anyhow::Result<(String, World)> 
 
 /// What `name` names: a file, a folder, a generated world's parameters, or a URL. Downloads show their progress on a
 /// terminal.
-pub(crate) fn world_named(name: &str) -> anyhow::Result<World> {
+pub fn world_named(name: &str) -> anyhow::Result<World> {
     let shows_progress = std::io::stderr().is_terminal();
     let downloaded = Arc::new(AtomicBool::new(false));
     let begun = downloaded.clone();
@@ -162,7 +162,7 @@ pub(crate) fn world_named(name: &str) -> anyhow::Result<World> {
 }
 
 /// The built-in link, or what `spec` says.
-pub(crate) fn open_link(spec: Option<&str>) -> anyhow::Result<LinkTrace> {
+pub fn open_link(spec: Option<&str>) -> anyhow::Result<LinkTrace> {
     Ok(match spec {
         None => link::built_in(),
         Some(spec) => link::parse::from_specification(spec)?,
@@ -170,7 +170,7 @@ pub(crate) fn open_link(spec: Option<&str>) -> anyhow::Result<LinkTrace> {
 }
 
 /// The built-in flight, a made path with its options, or a file; with the head that rides on it.
-pub(crate) fn open_path(name: Option<&str>, args: &PathArgs) -> anyhow::Result<CameraPath> {
+pub fn open_path(name: Option<&str>, args: &PathArgs) -> anyhow::Result<CameraPath> {
     carry_head(open_vehicle(name, args)?, args)
 }
 
@@ -181,7 +181,7 @@ fn is_made(name: &str) -> bool {
 }
 
 /// The path with the head that rides on it, if there is one.
-pub(crate) fn carry_head(path: CameraPath, args: &PathArgs) -> anyhow::Result<CameraPath> {
+pub fn carry_head(path: CameraPath, args: &PathArgs) -> anyhow::Result<CameraPath> {
     Ok(match (args.head(), &args.look) {
         (None, _) => path,
         (Some(_), Some(Look::Target(_))) => {
@@ -192,11 +192,11 @@ pub(crate) fn carry_head(path: CameraPath, args: &PathArgs) -> anyhow::Result<Ca
 }
 
 /// Paths that are made, by name; options follow a colon.
-pub(crate) const MADE_PATHS: [&str; 3] = ["steady", "turn", "teleport"];
+pub const MADE_PATHS: [&str; 3] = ["steady", "turn", "teleport"];
 
 /// A path without a head: the built-in flight, `steady` or `turn` with `:speed=M/S,duration=S`, `teleport` with
 /// `every=S`, `distance=M` and `seed=N` besides, or a file.
-pub(crate) fn open_vehicle(name: Option<&str>, args: &PathArgs) -> anyhow::Result<CameraPath> {
+pub fn open_vehicle(name: Option<&str>, args: &PathArgs) -> anyhow::Result<CameraPath> {
     let looking = |path: CameraPath| match &args.look {
         Some(look) => look::apply(path, look),
         None => Ok(path),
@@ -239,7 +239,7 @@ pub(crate) fn open_vehicle(name: Option<&str>, args: &PathArgs) -> anyhow::Resul
 }
 
 /// What `generate path` records: the part of the path that is asked for, with field of view and viewport in the first line.
-pub(crate) fn samples(path: &CameraPath, args: &PathArgs) -> anyhow::Result<Vec<Sample>> {
+pub fn samples(path: &CameraPath, args: &PathArgs) -> anyhow::Result<Vec<Sample>> {
     if args.place.is_some() || args.looped {
         bail!("--place and --loop need a replay; a recording is placed and looped when it is replayed");
     }
@@ -262,17 +262,17 @@ pub(crate) fn samples(path: &CameraPath, args: &PathArgs) -> anyhow::Result<Vec<
 }
 
 /// A path in its world, sampled.
-pub(crate) struct Placed {
+pub struct Placed {
     /// The views.
-    pub(crate) flight: Flight,
+    pub flight: Flight,
     /// How the path was put there.
-    pub(crate) place: String,
+    pub place: String,
     /// What the path's notes say, those on its placement included.
-    pub(crate) notes: Vec<String>,
+    pub notes: Vec<String>,
 }
 
 /// Puts the path into the world and samples it. `as_is` leaves it where it is unless a placement is given.
-pub(crate) fn place(path: &CameraPath, world: &World, as_is: bool, args: &PathArgs) -> anyhow::Result<Placed> {
+pub fn place(path: &CameraPath, world: &World, as_is: bool, args: &PathArgs) -> anyhow::Result<Placed> {
     let fov_y = args.fov_y()?;
     let (mut placed, place) = if as_is && args.place.is_none() {
         (path.clone(), "as it is".to_owned())
@@ -301,7 +301,7 @@ pub(crate) fn place(path: &CameraPath, world: &World, as_is: bool, args: &PathAr
 }
 
 /// Notes of a world for the reader, the same kind of note folded after a few.
-pub(crate) fn world_notes(world: &World, at_most: usize) -> Vec<String> {
+pub fn world_notes(world: &World, at_most: usize) -> Vec<String> {
     let mut notes: Vec<String> = world.notes.iter().take(at_most).map(ToString::to_string).collect();
     if world.notes.len() > at_most {
         notes.push(format!("… and {} more notes on this world; `inspect` lists them", world.notes.len() - at_most));
