@@ -1,0 +1,1 @@
+//! Serves worlds over HTTP and hosts schedulers for the clients that fly through them.

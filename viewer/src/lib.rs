@@ -1,0 +1,1 @@
+//! A client of the sidecar: flies through a world while it streams.
