@@ -1,1 +1,3 @@
 //! Serves worlds over HTTP and hosts schedulers for the clients that fly through them.
+
+pub mod config;
