@@ -3,7 +3,7 @@
 use super::value::{Bytes, LogForm, LogLevels, Origin, PolicyName, Span, Value, Whole};
 use foresight_index::database::Location;
 use std::fmt::Write as _;
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
 
 /// What is known of a setting.
@@ -77,6 +77,10 @@ settings! {
     token_file: Option<PathBuf> = "";
     /// Origins of pages that may open sessions, beside the server's own and loopback.
     origin: Vec<Origin> = "";
+    /// Whether the worlds' content needs the token too.
+    guard_worlds: bool = "false";
+    /// Proxies whose X-Forwarded-For names the client.
+    trusted_proxy: Vec<IpAddr> = "";
     /// Whether clients are told what to do; false is the kill switch: they fetch by their own rules.
     driving: bool = "true";
     /// Worlds, by name, whose clients are not told what to do.

@@ -1,7 +1,7 @@
 //! Where settings come from.
 
 use super::settings::{Config, SETTINGS, Setting};
-use super::{Token, Value as _};
+use super::Token;
 use clap::{Arg, ArgAction, ArgMatches, Command};
 use std::collections::BTreeMap;
 use std::io::Read as _;
@@ -103,8 +103,26 @@ fn argument(setting: &'static Setting) -> Arg {
     let several = if setting.list { "; may be repeated" } else { "" };
     argument
         .help(format!("{meaning}{several}{default}"))
-        .value_name(setting.key.to_ascii_uppercase())
+        .value_name(word(setting))
         .action(if setting.list { ArgAction::Append } else { ArgAction::Set })
+}
+
+/// What stands for the value in the help.
+fn word(setting: &Setting) -> &'static str {
+    match setting.key {
+        "world" => "[NAME=]WORLD",
+        "listen" => "ADDRESS:PORT",
+        "link" => "LINK",
+        "token_file" => "FILE",
+        "record" => "FOLDER",
+        "database" => "sqlite:FILE|URL",
+        key if key.contains("bytes") || key.contains("memory") => "BYTES",
+        key if key.ends_with("_max") || key.ends_with("threads") => "N",
+        key if ["keep_", "ping_", "idle_", "_within"].iter().any(|part| key.contains(part)) => "TIME",
+        "origin" => "ORIGIN",
+        "policy" => "POLICY",
+        _ => "VALUE",
+    }
 }
 
 impl clap::FromArgMatches for Flags {

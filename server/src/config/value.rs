@@ -1,7 +1,7 @@
 //! Values of settings: how each is read from text, said again, and what is said to have been expected.
 
 use foresight_index::database::Location;
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -149,6 +149,20 @@ impl Value for SocketAddr {
     }
 }
 
+impl Value for IpAddr {
+    fn read(texts: &[&str]) -> Option<Self> {
+        single(texts)?.parse().ok()
+    }
+
+    fn texts(&self) -> Vec<String> {
+        vec![self.to_string()]
+    }
+
+    fn expected() -> String {
+        "an IP address".to_owned()
+    }
+}
+
 impl Value for PathBuf {
     fn read(texts: &[&str]) -> Option<Self> {
         single(texts).filter(|text| !text.is_empty()).map(PathBuf::from)
@@ -245,8 +259,7 @@ pub struct PolicyName(pub String);
 impl Value for PolicyName {
     fn read(texts: &[&str]) -> Option<Self> {
         let text = single(texts)?;
-        let known = text.parse::<foresight_scheduler::policy::specification::PolicySpec>().is_ok();
-        known.then(|| PolicyName(text.to_owned()))
+        foresight_wire::session::SessionLimits::default().policy(text).ok().map(|_| PolicyName(text.to_owned()))
     }
 
     fn texts(&self) -> Vec<String> {

@@ -6,6 +6,7 @@
 //! socket and nothing else.
 
 use super::outgoing::Outgoing;
+use super::stream::Events;
 use crate::http::worlds::HostedWorld;
 use foresight_wire::message::{ClientMessage, Hello};
 use std::collections::VecDeque;
@@ -59,6 +60,8 @@ pub(super) struct Handle {
     pub(super) began: Instant,
     pub(super) thread: Arc<Thread>,
     mail: Mutex<Mail>,
+    /// Of a session without a socket.
+    events: Mutex<Option<Arc<Events>>>,
     room: Arc<Semaphore>,
     room_bytes: usize,
 }
@@ -94,7 +97,7 @@ impl Handle {
     ) -> Handle {
         let room_bytes = room_bytes.clamp(FRAME_ROOM_MIN, Semaphore::MAX_PERMITS.min(u32::MAX as usize));
         let room = Arc::new(Semaphore::new(room_bytes));
-        Handle { id, number, world, address, began, thread, mail: Mutex::default(), room, room_bytes }
+        Handle { id, number, world, address, began, thread, mail: Mutex::default(), events: Mutex::default(), room, room_bytes }
     }
 
     fn mail(&self) -> MutexGuard<'_, Mail> {
@@ -111,6 +114,16 @@ impl Handle {
     pub(super) fn room_now(&self, bytes: usize) -> Option<OwnedSemaphorePermit> {
         let bytes = u32::try_from(bytes.clamp(FRAME_ROOM_MIN, self.room_bytes)).unwrap_or(u32::MAX);
         self.room.clone().try_acquire_many_owned(bytes).ok()
+    }
+
+    /// Its answers' way where it has no socket.
+    pub(super) fn events(&self) -> Option<Arc<Events>> {
+        self.events.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Gives it a way for answers without a socket.
+    pub(super) fn set_events(&self, events: Arc<Events>) {
+        *self.events.lock().unwrap_or_else(PoisonError::into_inner) = Some(events);
     }
 
     /// Puts something in the mailbox; false if the session is over.
