@@ -22,7 +22,8 @@ const MIGRATIONS: Migrations = Migrations {
 #[derive(Debug)]
 pub struct SessionStore {
     runtime: Runtime,
-    connection: Connection,
+    /// `None` only once dropped.
+    connection: Option<Connection>,
     /// The file and what it was when it was opened.
     file: Option<(PathBuf, FileId)>,
     name: String,
@@ -66,7 +67,7 @@ impl SessionStore {
             Location::File(file) => file_id(file).map(|id| (file.clone(), id)),
             Location::Postgres(_) => None,
         };
-        let mut store = SessionStore { runtime, connection, file, name, patience };
+        let mut store = SessionStore { runtime, connection: Some(connection), file, name, patience };
         match store.within(async |connection| MIGRATIONS.version(connection).await)? {
             Some(SCHEMA_VERSION) => {}
             Some(found) if found > SCHEMA_VERSION => {
@@ -78,7 +79,8 @@ impl SessionStore {
     }
 
     fn migrate(&mut self) -> Result<(), SessionStoreError> {
-        let applying = MIGRATIONS.apply(&mut self.connection);
+        let Some(connection) = &mut self.connection else { return Err(self.no_answer()) };
+        let applying = MIGRATIONS.apply(connection);
         let answer = self.runtime.block_on(async { tokio::time::timeout(self.patience, applying).await });
         let answer = answer.map_err(|_| self.no_answer())?;
         answer.map_err(|source| match source {
@@ -136,11 +138,22 @@ impl SessionStore {
     ) -> Result<T, SessionStoreError> {
         // SQLite waits for a lock by itself, for as long; what it says then is better than that it was slow.
         let limit = self.patience + self.patience / 2;
-        let work = work(&mut self.connection);
+        let Some(connection) = &mut self.connection else { return Err(self.no_answer()) };
+        let work = work(connection);
         let answer = self.runtime.block_on(async { tokio::time::timeout(limit, work).await });
         match answer {
             Err(_) => Err(self.no_answer()),
             Ok(answer) => answer.map_err(|source| failure(&self.name, self.patience, source)),
+        }
+    }
+}
+
+impl Drop for SessionStore {
+    fn drop(&mut self) {
+        if let Some(connection) = self.connection.take() {
+            // Everything acknowledged was committed before; a server that does not answer is not waited for.
+            let closing = async { tokio::time::timeout(self.patience, connection.close()).await };
+            let _ = self.runtime.block_on(closing);
         }
     }
 }

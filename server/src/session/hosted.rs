@@ -266,9 +266,9 @@ impl Hosted {
     ) {
         self.ledger.answered(&answers);
         if let Some(recording) = self.recording.as_ref().filter(|recording| recording.is_alive()) {
-            let entry = Entry::new(received_ns, input, &answers, &self.session);
-            let (out, unsent) = (Cow::Owned(answers.clone()), Cow::Owned(entry.unsent.to_vec()));
-            let entry = Entry { received_ns, input: entry.input, out, unsent };
+            let decides = matches!(input, Input::Frame { .. } | Input::Tick);
+            let unsent = if decides { self.session.unsent().to_vec() } else { Vec::new() };
+            let entry = Entry { received_ns, input, out: Cow::Owned(answers.clone()), unsent: Cow::Owned(unsent) };
             // Messages hold no number that JSON has not.
             recording.line(move || entry.line().unwrap_or_default());
         }

@@ -67,7 +67,9 @@ impl Outgoing {
             }
             state.messages.push(message);
         }
-        state.answered.extend(received.filter(|_| state.answered.len() < self.most));
+        if state.answered.len() < self.most {
+            state.answered.extend(received);
+        }
         if state.messages.len() > self.most {
             let message = format!("{} answers wait for this connection; expected at most {}", state.messages.len(), self.most);
             let error = Error { code: ErrorCode::Limit, message, fatal: true };

@@ -78,7 +78,7 @@ impl Kept {
 
 /// A session that has begun.
 #[derive(Debug, Serialize, Deserialize, utoipa::ToSchema)]
-pub struct Opened {
+pub(super) struct Opened {
     /// Its id: the secret that it takes to go on with it.
     session: String,
     /// Where its answers come as server-sent events.
