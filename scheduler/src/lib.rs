@@ -55,6 +55,7 @@
 
 pub mod benefit;
 pub mod estimate;
+mod excess;
 pub mod integral;
 pub mod lod_tree;
 pub mod policy;
