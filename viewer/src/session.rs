@@ -125,7 +125,7 @@ pub struct Flight<'a> {
 
 enum Transport {
     Http(Requests),
-    Modelled(ModelledRequests),
+    Modelled(Box<ModelledRequests>),
 }
 
 struct Session<'a> {
@@ -191,7 +191,7 @@ impl<'a> Session<'a> {
     fn new(flight: Flight<'a>) -> Session<'a> {
         let Flight { plan, views, offset, log, clock, timed_from_ns, http, .. } = flight;
         let transport = match &plan.modelled {
-            Some(link) => Transport::Modelled(ModelledRequests::new(link)),
+            Some(link) => Transport::Modelled(Box::new(ModelledRequests::new(link))),
             None => Transport::Http(Requests::new(http, plan.has_files, clock)),
         };
         Session {
