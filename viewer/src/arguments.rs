@@ -151,7 +151,7 @@ impl Cli {
         if self.rate == 0 || !TICKS_PER_SECOND.is_multiple_of(self.rate) {
             bail!("--rate {}; expected 60 or what divides it", self.rate);
         }
-        if !(self.decode_rate > 0.0) || self.upload_budget == 0 {
+        if self.decode_rate.is_nan() || self.decode_rate <= 0.0 || self.upload_budget == 0 {
             bail!(
                 "--decode-rate {} and --upload-budget {}; expected more than 0",
                 self.decode_rate,
