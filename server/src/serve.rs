@@ -11,7 +11,7 @@ use clap::Args;
 use foresight_traces::link;
 use utoipa_axum::router::OpenApiRouter;
 
-use crate::http::{self, limits::Limits, listener, state::AppState, worlds::Worlds};
+use crate::http::{self, limits::LimitArgs, listener, state::AppState, worlds::Worlds};
 
 /// Options of `serve`.
 #[derive(Clone, Debug, Args)]
@@ -31,6 +31,8 @@ pub struct ServeArgs {
     /// if not given. Requests that name no session share one link
     #[arg(long, value_name = "LINK")]
     link: Option<String>,
+    #[command(flatten)]
+    limits: LimitArgs,
 }
 
 /// Sessions that have a link of their own at a time.
@@ -46,7 +48,7 @@ pub fn run(arguments: ServeArgs) -> anyhow::Result<()> {
     }
     let worlds = Worlds::open(&arguments.worlds)?;
     let link = arguments.link.as_deref().map(link::parse::from_specification).transpose()?;
-    let state = Arc::new(AppState::new(worlds, link, SESSIONS_MAX, Limits::default(), |_| {}));
+    let state = Arc::new(AppState::new(worlds, link, SESSIONS_MAX, arguments.limits.limits(), |_| {}));
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     runtime.block_on(async {
         let listener = tokio::net::TcpListener::bind(arguments.listen)
