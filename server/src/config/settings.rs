@@ -113,6 +113,10 @@ settings! {
     client_memory_max: Bytes<1, 1_125_899_906_842_624> = "1TiB";
     /// Most memory of this machine for one session; one that needs more is ended.
     session_memory_max: Bytes<65_536, 17_179_869_184> = "64MiB";
+    /// HTTP connections at a time.
+    connections_max: Whole<1, 1_000_000> = "4096";
+    /// Memory for small files of worlds.
+    store_bytes: Bytes<0, 1_099_511_627_776> = "256MiB";
     /// Folder for recordings of sessions; none are made if empty.
     record: Option<PathBuf> = "";
     /// Bytes of all recordings in the folder together; then no more is recorded.
