@@ -2,8 +2,6 @@
 
 use std::time::Duration;
 
-use clap::Args;
-
 /// Limits of connections and requests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
@@ -54,41 +52,6 @@ impl Default for Limits {
             idle: Duration::from_secs(60),
             shutdown: Duration::from_secs(10),
             store_bytes: 256 << 20,
-        }
-    }
-}
-
-/// The limits that a command line can set.
-#[derive(Clone, Debug, Args)]
-pub struct LimitArgs {
-    /// Connections at a time
-    #[arg(long, value_name = "N", default_value_t = 4096, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
-    connections_max: u32,
-    /// Requests being answered at a time; others are told to come back later
-    #[arg(long, value_name = "N", default_value_t = 4096, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
-    requests_max: u32,
-    /// Seconds for the head of a request
-    #[arg(long, value_name = "SECONDS", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=3600))]
-    head_within: u64,
-    /// Seconds after which a connection is closed on which nothing moves
-    #[arg(long, value_name = "SECONDS", default_value_t = 60, value_parser = clap::value_parser!(u64).range(1..=86_400))]
-    connection_idle: u64,
-    /// Mebibytes of small files that are kept in memory
-    #[arg(long, value_name = "MIB", default_value_t = 256, value_parser = clap::value_parser!(u64).range(0..=1_048_576))]
-    file_memory: u64,
-}
-
-impl LimitArgs {
-    /// As limits.
-    pub fn limits(&self) -> Limits {
-        Limits {
-            connections: self.connections_max as usize,
-            requests: self.requests_max as usize,
-            bodies: self.requests_max as usize,
-            head_within: Duration::from_secs(self.head_within),
-            idle: Duration::from_secs(self.connection_idle),
-            store_bytes: self.file_memory << 20,
-            ..Limits::default()
         }
     }
 }

@@ -73,7 +73,7 @@ pub fn router(state: Arc<AppState>, others: OpenApiRouter) -> Router {
         SwaggerUi::new("/docs").config(Config::default().validator_url("none")).url("/openapi.json", document);
     let cors = CorsLayer::new()
         .allow_origin(Any)
-        .allow_methods([Method::GET, Method::HEAD, Method::POST])
+        .allow_methods([Method::GET, Method::HEAD, Method::POST, Method::DELETE])
         .allow_headers(ALLOWED.map(HeaderName::from_static))
         .expose_headers(EXPOSED.map(HeaderName::from_static))
         .max_age(Duration::from_secs(86_400));
