@@ -174,6 +174,9 @@ const SEEDS: [&[u8]; 8] = [
     b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\x06\x04\0\0\0\0\0\0\x03\0\0\0\x64\0\0\x05\x01\x05\0\0\0\x01\x82\x86\x84\x41\0",
 ];
 
+/// Bytes that mean something in a request.
+const AWKWARD: &[u8] = b"\r\n\0 :/%;,=\"-\xff";
+
 /// A request with some bytes changed, repeated, left out or put in.
 fn malformed(random: &mut SplitMix64) -> Vec<u8> {
     let below = |random: &mut SplitMix64, n: usize| (random.bits() % n.max(1) as u64) as usize;
@@ -182,7 +185,7 @@ fn malformed(random: &mut SplitMix64) -> Vec<u8> {
         let at = below(random, bytes.len());
         match below(random, 6) {
             0 => bytes[at] = random.bits() as u8,
-            1 => bytes.insert(at, b"\r\n\0 :/%;,=\"-\xff"[below(random, 14)]),
+            1 => bytes.insert(at, AWKWARD[below(random, AWKWARD.len())]),
             2 => drop(bytes.remove(at)),
             3 => bytes.truncate(at.max(1)),
             4 => {
