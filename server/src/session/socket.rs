@@ -120,6 +120,7 @@ impl Limits {
 }
 
 async fn converse(host: Arc<Host>, stranger: Stranger, socket: WebSocket, encoding: Encoding) {
+    let _counted = host.socket();
     let (mut sink, mut stream) = socket.split();
     let mut limits = Limits::new(&host);
     let outgoing = Arc::new(Outgoing::new(host.config.answers_max.count()));
