@@ -28,15 +28,17 @@ struct Cli {
     simulated: bool,
 }
 
-/// The same city starved, matched and ample, and two such links over a mosaic of real tiles.
-const CASES: [&str; 5] = [
+/// A generated city and a mosaic of real tiles, each over a starved, a matched and an ample link.
+const CASES: [&str; 6] = [
+    "--world city:blocks=20 --path steady:speed=10,duration=45 --link constant:0.8Mbit,40ms --memory 64MiB",
     "--world city:blocks=20 --path steady:speed=10,duration=45 --link constant:2Mbit,40ms --memory 64MiB",
     "--world city:blocks=20 --path steady:speed=10,duration=45 --link constant:8Mbit,40ms --memory 64MiB",
-    "--world city:blocks=20 --path steady:speed=10,duration=45 --link constant:40Mbit,40ms --memory 64MiB",
     "--world mosaic:{data}/scenes/mars_dingo_gap_3dtiles,grid=16 --path {data}/paths/walk_udel_gore.txt --duration 45 \
-     --link {data}/network/norway3g_car_10.txt --memory 60MiB",
+     --link {data}/network/norway3g_car_10.txt,scale=3 --memory 120MiB",
     "--world mosaic:{data}/scenes/mars_dingo_gap_3dtiles,grid=16 --path {data}/paths/walk_udel_gore.txt --duration 45 \
-     --link {data}/network/mahimahi_ATT-LTE-driving.down --memory 120MiB",
+     --link {data}/network/mahimahi_ATT-LTE-driving.down,scale=6 --memory 120MiB",
+    "--world mosaic:{data}/scenes/mars_dingo_gap_3dtiles,grid=16 --path {data}/paths/walk_udel_gore.txt --duration 45 \
+     --link {data}/network/mahimahi_ATT-LTE-driving.down,scale=20 --memory 120MiB",
 ];
 
 fn main() {

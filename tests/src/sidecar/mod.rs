@@ -4,3 +4,4 @@ pub mod case;
 pub mod flown;
 pub mod process;
 pub mod proxy;
+pub mod slope;

@@ -43,34 +43,46 @@ pub struct Spoiled {
 #[derive(Debug)]
 pub struct Proxy {
     port: u16,
-    spoiled: Arc<Mutex<BTreeMap<String, u32>>>,
+    spoiled: Counts,
+    sockets: Sockets,
 }
 
+/// How often each address was spoiled.
+type Counts = Arc<Mutex<BTreeMap<String, u32>>>;
+/// Clients' ends of upgraded sockets.
+type Sockets = Arc<Mutex<Vec<TcpStream>>>;
+
 impl Proxy {
-    /// Forwards to `server_port`, spoiling contents, by whose addresses' second part, `worlds`, they are known.
+    /// Forwards to `server_port`, spoiling contents: what lies below a world's identity.
     ///
     /// # Panics
     /// Without a free port.
     pub fn start(server_port: u16, spoils: Option<Spoiled>) -> Proxy {
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a free port");
         let port = listener.local_addr().expect("its address").port();
-        let spoiled = Arc::new(Mutex::new(BTreeMap::new()));
-        let counts = spoiled.clone();
+        let (spoiled, sockets) = (Counts::default(), Sockets::default());
+        let (counts, upgraded) = (spoiled.clone(), sockets.clone());
         std::thread::spawn(move || {
             for client in listener.incoming().map_while(Result::ok) {
-                let counts = counts.clone();
+                let (counts, upgraded) = (counts.clone(), upgraded.clone());
                 std::thread::spawn(move || {
                     // A connection that breaks is what this is for.
-                    let _ = serve(client, server_port, spoils, &counts);
+                    let _ = serve(client, server_port, spoils.as_ref(), &counts, &upgraded);
                 });
             }
         });
-        Proxy { port, spoiled }
+        Proxy { port, spoiled, sockets }
     }
 
     /// Its address, as `--server` takes it.
     pub fn url(&self) -> String {
         format!("http://127.0.0.1:{}", self.port)
+    }
+
+    /// Breaks the sockets that are open, and answers how many that were.
+    pub fn cut(&self) -> usize {
+        let sockets = std::mem::take(&mut *self.sockets.lock().unwrap_or_else(PoisonError::into_inner));
+        sockets.iter().filter(|socket| socket.shutdown(Shutdown::Both).is_ok()).count()
     }
 
     /// Responses that were spoiled.
@@ -82,8 +94,9 @@ impl Proxy {
 fn serve(
     client: TcpStream,
     server_port: u16,
-    spoils: Option<Spoiled>,
-    counts: &Mutex<BTreeMap<String, u32>>,
+    spoils: Option<&Spoiled>,
+    counts: &Counts,
+    sockets: &Sockets,
 ) -> std::io::Result<()> {
     client.set_nodelay(true)?;
     let mut reader = BufReader::new(client.try_clone()?.take(HEAD_MAX));
@@ -99,6 +112,7 @@ fn serve(
     let mut server = TcpStream::connect((Ipv4Addr::LOCALHOST, server_port))?;
     server.set_nodelay(true)?;
     if upgrades {
+        sockets.lock().unwrap_or_else(PoisonError::into_inner).push(client.try_clone()?);
         server.write_all(&head)?;
         server.write_all(reader.buffer())?;
         let (mut to_client, mut from_server) = (client.try_clone()?, server.try_clone()?);
@@ -147,7 +161,7 @@ fn answer(mut client: TcpStream, mut server: TcpStream, request: &[u8], fault: O
 }
 
 /// Whether this request is to be spoiled; it is counted then.
-fn chosen(address: &str, spoils: &Spoiled, counts: &Mutex<BTreeMap<String, u32>>) -> bool {
+fn chosen(address: &str, spoils: &Spoiled, counts: &Counts) -> bool {
     // /worlds/NAME/IDENTITY/…: the rest is not content.
     if !address.starts_with("/worlds/") || address.split('/').count() < 5 {
         return false;
