@@ -3,6 +3,8 @@
 //! [`world::open`] takes whatever is recognised; [`world::World`] is what everything else works on. The crate decides
 //! nothing about what to fetch and knows no clock.
 
+#[cfg(any(feature = "runs", feature = "sessions"))]
+pub mod database;
 #[cfg(any(feature = "cityjson", feature = "terrain", feature = "asteroids"))]
 pub mod format;
 pub mod generate;
@@ -15,6 +17,8 @@ pub mod manifest;
 mod mesh;
 #[cfg(feature = "runs")]
 pub mod runs;
+#[cfg(feature = "sessions")]
+pub mod sessions;
 pub mod specification;
 #[cfg(feature = "terrain")]
 pub mod terrain;
