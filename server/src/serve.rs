@@ -104,8 +104,12 @@ pub fn run(arguments: &ServeArgs) -> anyhow::Result<()> {
 fn limits(config: &Config) -> Limits {
     Limits {
         connections: config.connections_max.count(),
-        store_bytes: config.store_bytes.0,
+        requests: config.requests_max.count(),
+        bodies: config.requests_max.count(),
+        head_within: config.head_within.0,
+        idle: config.connection_idle.0,
         shutdown: config.shutdown_within.0,
+        store_bytes: config.file_memory.0,
         ..Limits::default()
     }
 }
