@@ -1,7 +1,7 @@
 //! Where settings come from.
 
-use super::settings::{Config, SETTINGS, Setting};
 use super::Token;
+use super::settings::{Config, SETTINGS, Setting};
 use clap::{Arg, ArgAction, ArgMatches, Command};
 use std::collections::BTreeMap;
 use std::io::Read as _;
@@ -104,6 +104,7 @@ fn argument(setting: &'static Setting) -> Arg {
     argument
         .help(format!("{meaning}{several}{default}"))
         .value_name(word(setting))
+        .num_args(if setting.list { 1..=usize::MAX } else { 1..=1 })
         .action(if setting.list { ArgAction::Append } else { ArgAction::Set })
 }
 

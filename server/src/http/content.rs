@@ -258,7 +258,7 @@ async fn file_found(
     }
     let length = metadata.len();
     let place = state.turns.place(priority);
-    let key = Key { world: world.name(), name };
+    let key = Key { world: world.name(), name, coding };
     let found = |stored: &Stored, from| Found {
         source: stored.source.clone(),
         length: stored.length,
@@ -275,7 +275,7 @@ async fn file_found(
         return Ok(Some(found(&stored, "memory")));
     }
     state.metrics.store_misses.inc();
-    match state.store.load(files, key, file, coding, &state.turns, place).await {
+    match state.store.load(files, key, file, &state.turns, place).await {
         Ok(stored) => Ok(Some(found(&stored, "disk"))),
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
         Err(error) => {

@@ -1,7 +1,7 @@
 //! Content codings of files that lie compressed beside the plain ones, chosen by `Accept-Encoding` (RFC 9110, section 12.5.3).
 
 /// A coding, better ones first where a client likes several equally.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(super) enum Coding {
     /// `br`, in `NAME.br`.
     Brotli,

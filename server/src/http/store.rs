@@ -20,11 +20,13 @@ pub const KEPT_BYTES_MAX: u64 = 2 << 20;
 /// What an entry takes besides its content, bytes, roughly.
 const ENTRY_BYTES: u64 = 512;
 
-/// A file of a world; its name with the ending of its coding.
+/// A file of a world as it is served; its name with the ending of its coding.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Key {
     pub(super) world: &'static str,
     pub(super) name: String,
+    /// `None` for the file under its own name, which may have such an ending too.
+    pub(super) coding: Option<Coding>,
 }
 
 impl Hash for Key {
@@ -32,6 +34,7 @@ impl Hash for Key {
         // A world's name lives at one place for as long as the process.
         self.world.as_ptr().hash(state);
         self.name.hash(state);
+        self.coding.hash(state);
     }
 }
 
@@ -78,12 +81,11 @@ impl Store {
         files: &'static Files,
         key: Key,
         plain: &str,
-        coding: Option<Coding>,
         turns: &Arc<Turns>,
         place: Place,
     ) -> std::io::Result<Arc<Stored>> {
         let media_type = media::of(plain);
-        let name = key.name.clone();
+        let (name, coding) = (key.name.clone(), key.coding);
         let turn = turns.turn(place).await;
         let read = tokio::task::spawn_blocking(move || read(files, &name, media_type, coding));
         let stored = Arc::new(read.await.map_err(std::io::Error::other)??);

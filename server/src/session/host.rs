@@ -8,13 +8,15 @@ use super::recorder::Recorder;
 use super::worker::Worker;
 use crate::clock;
 use crate::config::Config;
-use crate::http::worlds::{HostedWorld, Worlds};
+use crate::http::shaping::Links;
+use crate::http::state::AppState;
+use crate::http::worlds::HostedWorld;
 use foresight_scheduler::lod_tree::RepId;
 use foresight_wire::message::{Error, ErrorCode, Hello};
 use foresight_wire::session::{SessionLimits, SessionWorld};
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::IpAddr;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
@@ -35,6 +37,9 @@ pub struct Host {
     sessions: Mutex<Sessions>,
     switch: Mutex<Switch>,
     stopping: AtomicBool,
+    /// Connections by WebSocket.
+    sockets: AtomicUsize,
+    http: Arc<AppState>,
 }
 
 #[derive(Debug, Default)]
@@ -94,6 +99,15 @@ pub(super) struct Stranger {
     address: IpAddr,
 }
 
+/// A WebSocket.
+pub(super) struct Socket(Arc<Host>);
+
+impl Drop for Socket {
+    fn drop(&mut self) {
+        self.0.sockets.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
 impl std::fmt::Debug for Host {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Host").field("config", &self.config).finish_non_exhaustive()
@@ -124,7 +138,8 @@ impl Host {
     ///
     /// # Errors
     /// A configuration that does not fit the worlds, a folder that cannot be used, no threads.
-    pub fn start(config: Config, worlds: &Worlds, metrics: SessionMetrics) -> Result<Arc<Host>, HostError> {
+    pub fn start(config: Config, http: Arc<AppState>, metrics: SessionMetrics) -> Result<Arc<Host>, HostError> {
+        let worlds = &http.worlds;
         let missing = config.not_driven.iter().find(|name| worlds.get(name).is_none());
         if let Some(name) = missing {
             return Err(HostError::NoWorld(name.clone()));
@@ -145,13 +160,13 @@ impl Host {
             config.database.clone().map(|location| Estimates::start(location, metrics.clone())).transpose()?;
         let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
         let threads: Vec<Arc<Thread>> =
-            (0..config.decision_threads(cores)).map(|_| Arc::new(Thread::default())).collect();
+            (0..config.decision_threads(cores)).map(|_| Arc::new(Thread::new(metrics.waiting.clone()))).collect();
         metrics.driving.set(i64::from(config.driving));
         let host = Arc::new(Host {
             limits,
             recorder,
             estimates,
-            worlds: worlds.iter().map(|world| (world.name(), (world, session_world(world)))).collect(),
+            worlds: http.worlds.iter().map(|world| (world.name(), (world, session_world(world)))).collect(),
             threads,
             workers: Mutex::default(),
             sessions: Mutex::default(),
@@ -160,6 +175,8 @@ impl Host {
                 not_driven: config.not_driven.iter().cloned().collect(),
             }),
             stopping: AtomicBool::new(false),
+            sockets: AtomicUsize::new(0),
+            http,
             metrics,
             config,
         });
@@ -198,7 +215,10 @@ impl Host {
         let most = self.config.sessions_max.count();
         if sessions.by_id.len() + sessions.strangers >= most {
             self.metrics.refused("sessions");
-            return Err(refusal(ErrorCode::Limit, format!("{most} sessions are open; expected fewer: try again later")));
+            return Err(refusal(
+                ErrorCode::Limit,
+                format!("{most} sessions are open; expected fewer: try again later"),
+            ));
         }
         let most = self.config.sessions_per_address_max.count();
         if sessions.of_address.get(&address).copied().unwrap_or(0) >= most {
@@ -217,7 +237,8 @@ impl Host {
         outgoing: Arc<Outgoing>,
     ) -> Result<Arc<Handle>, Error> {
         let address = stranger.address;
-        if let Some(session) = hello.resume.as_ref().and_then(|id| self.find(id)).filter(|s| s.world.name() == hello.world)
+        if let Some(session) =
+            hello.resume.as_ref().and_then(|id| self.find(id)).filter(|s| s.world.name() == hello.world)
         {
             let at = clock::now();
             if session.post(Item::Resume { at, hello: hello.clone(), outgoing: outgoing.clone() }) {
@@ -227,7 +248,8 @@ impl Host {
         let Some((world, _)) = self.worlds.get(hello.world.as_str()) else {
             self.metrics.refused("world");
             let names: Vec<&str> = self.worlds.keys().copied().collect();
-            let message = format!("there is no world {:?}; expected one of {}", clipped(&hello.world), names.join(", "));
+            let message =
+                format!("there is no world {:?}; expected one of {}", clipped(&hello.world), names.join(", "));
             return Err(refusal(ErrorCode::World, message));
         };
         if let (None, Some(client), Some(estimates)) = (&hello.link, &hello.client, &self.estimates) {
@@ -247,6 +269,9 @@ impl Host {
         *sessions.of_address.entry(address).or_default() += 1;
         sessions.by_id.insert(id, session.clone());
         drop(sessions);
+        if let Some(links) = self.links() {
+            links.open(&session.id);
+        }
         self.metrics.opened.inc();
         self.metrics.active.inc();
         session.post(Item::Open { hello, outgoing });
@@ -256,6 +281,17 @@ impl Host {
     /// The session of an id.
     pub(super) fn find(&self, id: &str) -> Option<Arc<Handle>> {
         self.sessions().by_id.get(id).cloned()
+    }
+
+    /// The links by which sessions' responses are shaped.
+    pub(super) fn links(&self) -> Option<&Links> {
+        self.http.links.as_ref()
+    }
+
+    /// Counts a WebSocket until what this gives is dropped.
+    pub(super) fn socket(self: &Arc<Host>) -> Socket {
+        self.sockets.fetch_add(1, Ordering::Relaxed);
+        Socket(self.clone())
     }
 
     /// The world of a session.
@@ -269,7 +305,11 @@ impl Host {
         let mut sessions = self.sessions();
         if sessions.by_id.remove(&session.id).is_some() {
             sessions.leave(session.address);
+            drop(sessions);
             self.metrics.active.dec();
+            if let Some(links) = self.links() {
+                links.close(&session.id);
+            }
         }
     }
 
@@ -316,12 +356,6 @@ impl Host {
         self.estimates.as_ref().and_then(Estimates::fault)
     }
 
-    /// Updates what is counted only when asked for.
-    pub fn measure(&self) {
-        let waiting: usize = self.threads.iter().map(|thread| thread.length()).sum();
-        self.metrics.waiting.set(i64::try_from(waiting).unwrap_or(i64::MAX));
-    }
-
     /// Tells all sessions that the server is going, closes recordings and writes estimates, within a time; false if that
     /// was not enough.
     pub async fn stop(&self, within: Duration) -> bool {
@@ -331,7 +365,7 @@ impl Host {
             session.post(Item::End("shutdown"));
         }
         let closing = async {
-            while !self.sessions().by_id.is_empty() {
+            while !self.sessions().by_id.is_empty() || self.sockets.load(Ordering::Relaxed) > 0 {
                 tokio::time::sleep(Duration::from_millis(5)).await;
             }
             self.threads.iter().for_each(|thread| thread.stop());

@@ -33,6 +33,8 @@ pub(super) struct Hosted {
     observed: Instant,
     looked: Instant,
     memory: usize,
+    /// A view has come: its link's time has begun.
+    viewed: bool,
     frames: u64,
     decisions: u64,
     longest: Duration,
@@ -84,6 +86,7 @@ impl Hosted {
             observed: now,
             looked: now,
             memory: 0,
+            viewed: false,
             frames: 0,
             decisions: 0,
             longest: Duration::ZERO,
@@ -177,6 +180,12 @@ impl Hosted {
         self.ledger.reported(&frame.messages);
         let finished = self.session.finished();
         let viewed = frame.messages.iter().any(|message| matches!(message, ClientMessage::View(_)));
+        if viewed && !self.viewed {
+            self.viewed = true;
+            if let Some(links) = host.links() {
+                links.begin(&self.handle.id, frame.at);
+            }
+        }
         let input = Input::Frame { messages: Cow::Owned(frame.messages) };
         self.answer(received_ns, input, answers, viewed.then_some(frame.at));
         if finished { Err(Over::because("bye")) } else { Ok(()) }

@@ -9,6 +9,7 @@ use super::outgoing::Outgoing;
 use super::stream::Events;
 use crate::http::worlds::HostedWorld;
 use foresight_wire::message::{ClientMessage, Hello};
+use prometheus_client::metrics::gauge::Gauge;
 use std::collections::VecDeque;
 use std::net::IpAddr;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -97,7 +98,18 @@ impl Handle {
     ) -> Handle {
         let room_bytes = room_bytes.clamp(FRAME_ROOM_MIN, Semaphore::MAX_PERMITS.min(u32::MAX as usize));
         let room = Arc::new(Semaphore::new(room_bytes));
-        Handle { id, number, world, address, began, thread, mail: Mutex::default(), events: Mutex::default(), room, room_bytes }
+        Handle {
+            id,
+            number,
+            world,
+            address,
+            began,
+            thread,
+            mail: Mutex::default(),
+            events: Mutex::default(),
+            room,
+            room_bytes,
+        }
     }
 
     fn mail(&self) -> MutexGuard<'_, Mail> {
@@ -216,10 +228,12 @@ impl Frame {
 }
 
 /// A decision thread as others know it: the sessions that have something for it to do.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Thread {
     waiting: Mutex<Waiting>,
     changed: Condvar,
+    /// Sessions that wait for their turn, on all threads.
+    gauge: Gauge,
 }
 
 #[derive(Debug, Default)]
@@ -240,12 +254,17 @@ pub(super) enum Next {
 }
 
 impl Thread {
+    pub(super) fn new(gauge: Gauge) -> Thread {
+        Thread { waiting: Mutex::default(), changed: Condvar::new(), gauge }
+    }
+
     fn waiting(&self) -> MutexGuard<'_, Waiting> {
         self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn push(&self, session: Arc<Handle>) {
         self.waiting().sessions.push_back(session);
+        self.gauge.inc();
         self.changed.notify_one();
     }
 
@@ -255,16 +274,12 @@ impl Thread {
         self.changed.notify_one();
     }
 
-    /// Sessions that wait for their turn.
-    pub(super) fn length(&self) -> usize {
-        self.waiting().sessions.len()
-    }
-
     /// The next session, or that `until` has come.
     pub(super) fn next(&self, until: Option<Instant>) -> Next {
         let mut waiting = self.waiting();
         loop {
             if let Some(session) = waiting.sessions.pop_front() {
+                self.gauge.dec();
                 return Next::Session(session);
             }
             if waiting.stopped {

@@ -120,6 +120,7 @@ impl Limits {
 }
 
 async fn converse(host: Arc<Host>, stranger: Stranger, socket: WebSocket, encoding: Encoding) {
+    let _counted = host.socket();
     let (mut sink, mut stream) = socket.split();
     let mut limits = Limits::new(&host);
     let outgoing = Arc::new(Outgoing::new(host.config.answers_max.count()));
@@ -258,7 +259,11 @@ async fn next(
         (Message::Text(_) | Message::Binary(_), _) => {
             host.metrics.frames_malformed.inc();
             let expected = if encoding == Encoding::Json { "text frames" } else { "binary frames" };
-            return Err(End::told("malformed", ErrorCode::Malformed, format!("expected {expected} in this subprotocol")));
+            return Err(End::told(
+                "malformed",
+                ErrorCode::Malformed,
+                format!("expected {expected} in this subprotocol"),
+            ));
         }
         _ => return Ok((Vec::new(), 0)),
     };

@@ -127,13 +127,13 @@ fn problem(error: &Error) -> Problem {
         description = "A list of messages that begins with a hello; see the schema of the messages"),
     responses(
         (status = 201, description = "It has begun", body = Opened),
-        (status = 400, description = "No list of messages, or a hello that is refused", body = Problem),
-        (status = 401, description = "Without the token", body = Problem),
-        (status = 403, description = "From a page of another origin", body = Problem),
-        (status = 404, description = "No such world", body = Problem),
-        (status = 413, description = "Larger than a frame may be", body = Problem),
-        (status = 415, description = "Neither JSON nor MessagePack", body = Problem),
-        (status = 503, description = "Too many sessions, or shutting down", body = Problem),
+        (status = 400, description = "No list of messages, or a hello that is refused", body = Problem, content_type = "application/problem+json"),
+        (status = 401, description = "Without the token", body = Problem, content_type = "application/problem+json"),
+        (status = 403, description = "From a page of another origin", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "No such world", body = Problem, content_type = "application/problem+json"),
+        (status = 413, description = "Larger than a frame may be", body = Problem, content_type = "application/problem+json"),
+        (status = 415, description = "Neither JSON nor MessagePack", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "Too many sessions, or shutting down", body = Problem, content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn open(
@@ -204,14 +204,14 @@ fn session(host: &Host, id: &str) -> Result<(Arc<Handle>, Arc<Events>), Problem>
     request_body(content = Vec<Object>, description = "A list of messages; see the schema of the messages"),
     responses(
         (status = 202, description = "Taken; answers come as events"),
-        (status = 400, description = "No list of messages", body = Problem),
-        (status = 401, description = "Without the token", body = Problem),
-        (status = 403, description = "From a page of another origin", body = Problem),
-        (status = 404, description = "No such session", body = Problem),
-        (status = 409, description = "The session has a WebSocket", body = Problem),
-        (status = 413, description = "Larger than a frame may be", body = Problem),
-        (status = 415, description = "Neither JSON nor MessagePack", body = Problem),
-        (status = 429, description = "Too much at once; Retry-After says when", body = Problem),
+        (status = 400, description = "No list of messages", body = Problem, content_type = "application/problem+json"),
+        (status = 401, description = "Without the token", body = Problem, content_type = "application/problem+json"),
+        (status = 403, description = "From a page of another origin", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "No such session", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "The session has a WebSocket", body = Problem, content_type = "application/problem+json"),
+        (status = 413, description = "Larger than a frame may be", body = Problem, content_type = "application/problem+json"),
+        (status = 415, description = "Neither JSON nor MessagePack", body = Problem, content_type = "application/problem+json"),
+        (status = 429, description = "Too much at once; Retry-After says when", body = Problem, content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn frames(
@@ -253,11 +253,11 @@ pub(super) async fn frames(
     responses(
         (status = 200, description = "A list of messages an event; the event `end` is the last, and says why",
             body = String, content_type = "text/event-stream"),
-        (status = 401, description = "Without the token", body = Problem),
-        (status = 403, description = "From a page of another origin", body = Problem),
-        (status = 404, description = "No such session", body = Problem),
-        (status = 409, description = "The session has a WebSocket", body = Problem),
-        (status = 410, description = "What came after Last-Event-ID is no longer kept: resume by POST /sessions", body = Problem),
+        (status = 401, description = "Without the token", body = Problem, content_type = "application/problem+json"),
+        (status = 403, description = "From a page of another origin", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "No such session", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "The session has a WebSocket", body = Problem, content_type = "application/problem+json"),
+        (status = 410, description = "What came after Last-Event-ID is no longer kept: resume by POST /sessions", body = Problem, content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn events(
@@ -284,7 +284,9 @@ pub(super) async fn events(
     });
     session.post(Item::Present { outgoing: events.outgoing.clone() });
     let keep_alive = KeepAlive::new().interval(host.config.ping_every.0);
-    let mut response = Sse::new(stream(Reader { session, events, number, missed, ended: false })).keep_alive(keep_alive).into_response();
+    let mut response = Sse::new(stream(Reader { session, events, number, missed, ended: false }))
+        .keep_alive(keep_alive)
+        .into_response();
     // Proxies are not to gather events.
     response.headers_mut().insert("x-accel-buffering", HeaderValue::from_static("no"));
     Ok(response)
@@ -347,9 +349,9 @@ fn stream(reader: Reader) -> impl Stream<Item = Result<Event, Infallible>> {
     delete, path = "/sessions/{id}", tag = "sessions", params(("id" = String, Path, description = "Of the session")),
     responses(
         (status = 204, description = "It is over"),
-        (status = 401, description = "Without the token", body = Problem),
-        (status = 403, description = "From a page of another origin", body = Problem),
-        (status = 404, description = "No such session", body = Problem),
+        (status = 401, description = "Without the token", body = Problem, content_type = "application/problem+json"),
+        (status = 403, description = "From a page of another origin", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "No such session", body = Problem, content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn close(State(host): State<Arc<Host>>, Path(id): Path<String>) -> Result<StatusCode, Problem> {
