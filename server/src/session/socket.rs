@@ -253,9 +253,10 @@ async fn next(
         let message = format!("too much was sent; expected at most {frames} frames and {bytes} bytes a second");
         return Err(End::told("rate", ErrorCode::Limit, message));
     }
+    let most = host.config.message_bytes_max.length();
     let read = match (&message, encoding) {
-        (Message::Text(text), Encoding::Json) => encoding.read::<ClientMessage>(text.as_bytes()),
-        (Message::Binary(data), Encoding::MessagePack) => encoding.read::<ClientMessage>(data),
+        (Message::Text(text), Encoding::Json) => encoding.read_at_most::<ClientMessage>(text.as_bytes(), most),
+        (Message::Binary(data), Encoding::MessagePack) => encoding.read_at_most::<ClientMessage>(data, most),
         (Message::Text(_) | Message::Binary(_), _) => {
             host.metrics.frames_malformed.inc();
             let expected = if encoding == Encoding::Json { "text frames" } else { "binary frames" };

@@ -106,7 +106,7 @@ fn read(host: &Host, headers: &HeaderMap, body: &[u8]) -> Result<Vec<ClientMessa
     let encoding = encoding(headers)?;
     host.metrics.frames.inc();
     host.metrics.frame_bytes.inc_by(body.len() as u64);
-    encoding.read::<ClientMessage>(body).map_err(|error| {
+    encoding.read_at_most::<ClientMessage>(body, host.config.message_bytes_max.length()).map_err(|error| {
         host.metrics.frames_malformed.inc();
         Problem::new(StatusCode::BAD_REQUEST, error.to_string())
     })
