@@ -6,10 +6,10 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use foresight_tests::sidecar::client::{Client, Received, hello, http, view};
+use foresight_tests::sidecar::client::{Client, Received, hello, http};
 use foresight_tests::sidecar::process::Server;
 use foresight_wire::encoding::Encoding;
-use foresight_wire::message::{ClientMessage, Event, ServerMessage, Settings};
+use foresight_wire::message::{ClientMessage, Event};
 
 const WORLD: [&str; 2] = ["--world", "w=city:blocks=4"];
 
@@ -30,12 +30,7 @@ fn beside_a_flight(options: &[&str], harm: impl FnOnce(&Server)) {
             let mut number = 200_u64;
             while !over.load(Ordering::Relaxed) || number < 210 {
                 number += 1;
-                assert!(witness.send(&[view(number * 33_000_000, number)]), "the flight goes on");
-                witness.until(|message| match message {
-                    ServerMessage::Wait { .. } => Some(()),
-                    ServerMessage::Error(error) => panic!("{}", error.message),
-                    _ => None,
-                });
+                assert!(witness.probe(number), "the flight goes on");
                 std::thread::sleep(Duration::from_millis(20));
             }
         });
@@ -256,30 +251,8 @@ fn garbage(server: &Server, frames: u64, seed: u64) {
                 sent += 1;
                 open = open && client.send_text(&nearly(&mut state));
             }
-            open = open && client.send(&[ClientMessage::Settings(Settings::default()), view(1, 1)]);
-            loop {
-                match client.next() {
-                    Received::Messages(messages) => {
-                        if messages
-                            .iter()
-                            .any(|message| matches!(message, ServerMessage::Wait { .. } | ServerMessage::Fetch(_)))
-                        {
-                            break;
-                        }
-                    }
-                    Received::Closed(_, reason) => {
-                        assert!(!reason.is_empty(), "closed without a reason");
-                        open = false;
-                        break;
-                    }
-                    // The server has closed while we still wrote.
-                    Received::Broken(_) => {
-                        open = false;
-                        break;
-                    }
-                    Received::Nothing => panic!("a frame was neither answered nor refused"),
-                }
-            }
+            // Where the server has closed while we still wrote, its reason may be lost on the way.
+            open = open && client.probe(sent);
         }
     }
     println!("{frames} frames over {connections} connections");

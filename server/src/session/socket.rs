@@ -136,6 +136,8 @@ async fn converse(host: Arc<Host>, stranger: Stranger, socket: WebSocket, encodi
         tokio::select! {
             reason = &mut writing => reason,
             reason = &mut reading => timeout(LAST_WORDS, writing).await.unwrap_or(reason),
+            // A client that does not read may not take even this.
+            () = outgoing.overflow() => timeout(LAST_WORDS, writing).await.unwrap_or("slow"),
         }
     };
     host.metrics.connections_closed.get_or_create(&ReasonLabel { reason }).inc();

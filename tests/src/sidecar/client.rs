@@ -12,6 +12,9 @@ use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::tungstenite::http::{HeaderName, HeaderValue};
 use tokio_tungstenite::tungstenite::{self, Message, WebSocket};
 
+/// Numbers of representations that no world has.
+const PROBED: u32 = 4_000_000_000;
+
 /// How long an answer is waited for.
 const ANSWERING: Duration = Duration::from_secs(20);
 
@@ -177,25 +180,64 @@ impl Client {
     /// # Panics
     /// If none comes after many views.
     pub fn fetch(&mut self) -> u32 {
-        for number in 0..200 {
+        self.wait(Duration::from_millis(50));
+        for number in 0..400 {
             assert!(self.send(&[view(number * 33_000_000, number)]), "the view is sent");
-            let mut answered = false;
-            while !answered {
-                match self.next() {
-                    Received::Messages(messages) => {
-                        for message in &messages {
-                            match message {
-                                ServerMessage::Fetch(fetch) => return fetch.rep,
-                                ServerMessage::Wait { .. } => answered = true,
-                                _ => {}
-                            }
-                        }
+            match self.next() {
+                Received::Nothing => {}
+                Received::Messages(messages) => {
+                    let fetch = |message: &ServerMessage| match message {
+                        ServerMessage::Fetch(fetch) => Some(fetch.rep),
+                        _ => None,
+                    };
+                    if let Some(rep) = messages.iter().find_map(fetch) {
+                        self.wait(ANSWERING);
+                        return rep;
                     }
-                    other => panic!("expected an answer, not {other:?}"),
                 }
+                other => panic!("expected an answer, not {other:?}"),
             }
         }
         panic!("nothing is to be fetched");
+    }
+
+    /// How long to wait for a frame from now on.
+    fn wait(&mut self, limit: Duration) {
+        self.socket.get_ref().set_read_timeout(Some(limit)).expect("a timeout can be set");
+    }
+
+    /// Sends a view with an event that the session must object to, and waits for that: what it has been told before has been
+    /// worked off then. Where objections are many some are left out, so it is tried again. `false` if the connection ends.
+    ///
+    /// # Panics
+    /// If there is no answer for long.
+    pub fn probe(&mut self, number: u64) -> bool {
+        let event = Event { t_ns: number * 33_000_000, rep: PROBED + (number % 1_000_000) as u32 };
+        let wanted = event.rep.to_string();
+        self.wait(Duration::from_secs(2));
+        for _ in 0..15 {
+            if !self.send(&[view(event.t_ns, number), ClientMessage::Completed(event)]) {
+                return false;
+            }
+            loop {
+                match self.next() {
+                    Received::Messages(messages) => {
+                        let objects = |message: &ServerMessage| matches!(message, ServerMessage::Error(error) if error.message.contains(&wanted));
+                        if messages.iter().any(objects) {
+                            self.wait(ANSWERING);
+                            return true;
+                        }
+                    }
+                    Received::Nothing => break,
+                    Received::Closed(_, reason) => {
+                        assert!(!reason.is_empty(), "closed without a reason");
+                        return false;
+                    }
+                    Received::Broken(_) => return false,
+                }
+            }
+        }
+        panic!("nothing was answered");
     }
 
     /// Says that something has come and can be shown.

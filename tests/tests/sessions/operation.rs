@@ -73,17 +73,25 @@ fn limits_on_sessions_hold_and_are_given_back() {
     let folder = tempfile::tempdir().expect("a folder");
     let options = ["--sessions-max", "5", "--sessions-per-address-max", "3"];
     let server = Server::start(folder.path(), &[&WORLD[..], &options].concat());
-    let open = || {
-        let mut client = Client::try_connect(server.port(), Encoding::Json, &[])?;
-        client.greet(hello("w"));
-        Ok::<Client, u16>(client)
-    };
-    let mut held: Vec<Client> = (0..3).map(|_| open().expect("room")).collect();
-    assert_eq!(open().err(), Some(503));
-    let mut first = held.remove(0);
-    assert!(first.send(&[ClientMessage::Bye]));
-    assert_eq!(first.closed().1, 1000);
-    held.push(open().expect("room again"));
+    let open = || Client::connect(server.port(), Encoding::Json);
+    let mut held: Vec<(Client, String)> = Vec::new();
+    for _ in 0..3 {
+        let mut client = open();
+        let session = client.greet(hello("w")).session;
+        held.push((client, session));
+    }
+    let mut fourth = open();
+    assert!(fourth.send(&[ClientMessage::Hello(Box::new(hello("w")))]));
+    let (errors, code, _) = fourth.closed();
+    assert!(code == 1008 && errors[0].contains("3 sessions of this address"), "{errors:?} {code}");
+    // Who comes back to a session needs no further one.
+    let (broken, session) = held.remove(0);
+    drop(broken);
+    let mut back = open();
+    assert!(back.greet(Hello { resume: Some(session), ..hello("w") }).resumed);
+    assert!(back.send(&[ClientMessage::Bye]));
+    assert_eq!(back.closed().1, 1000);
+    open().greet(hello("w"));
     assert_eq!(server.metric("foresight_sessions_refused_total"), Some(1.0));
 }
 
