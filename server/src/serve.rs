@@ -107,9 +107,9 @@ fn limits(config: &Config) -> Limits {
         requests: config.requests_max.count(),
         bodies: config.requests_max.count(),
         head_within: config.head_within.0,
-        idle: config.connection_idle.0,
+        idle: config.connection_idle_after.0,
+        store_bytes: config.store_bytes.0,
         shutdown: config.shutdown_within.0,
-        store_bytes: config.file_memory.0,
         ..Limits::default()
     }
 }

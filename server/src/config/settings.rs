@@ -115,14 +115,14 @@ settings! {
     session_memory_max: Bytes<65_536, 17_179_869_184> = "64MiB";
     /// HTTP connections at a time.
     connections_max: Whole<1, 1_000_000> = "4096";
-    /// Requests being answered at a time; others are told to come back later.
+    /// Requests being answered at a time, and contents on their way; further ones are told to come back later.
     requests_max: Whole<1, 1_000_000> = "4096";
     /// Time for the head of a request.
-    head_within: Span<10, 3_600_000> = "10s";
-    /// Time after which a connection is closed on which nothing moves.
-    connection_idle: Span<10, 86_400_000> = "1m";
+    head_within: Span<10, 600_000> = "10s";
+    /// An HTTP connection on which nothing moves, and on which the server owes nothing, is closed after so long.
+    connection_idle_after: Span<10, 86_400_000> = "1m";
     /// Memory for small files of worlds.
-    file_memory: Bytes<0, 1_099_511_627_776> = "256MiB";
+    store_bytes: Bytes<0, 1_099_511_627_776> = "256MiB";
     /// Folder for recordings of sessions; none are made if empty.
     record: Option<PathBuf> = "";
     /// Bytes of all recordings in the folder together; then no more is recorded.

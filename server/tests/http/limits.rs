@@ -17,7 +17,8 @@ fn rest(stream: &mut std::net::TcpStream) -> Vec<u8> {
 fn slow_clients_are_dropped_and_harm_nobody() {
     let folder = tempfile::tempdir().unwrap();
     write_world(folder.path());
-    let server = Server::start(folder.path().to_str().unwrap(), &["--head-within", "1s", "--connection-idle", "2s"]);
+    let server =
+        Server::start(folder.path().to_str().unwrap(), &["--head-within", "1s", "--connection-idle-after", "2s"]);
     // One says nothing, one begins HTTP/2 and stops, one sends its head a byte at a time, one reads no answer.
     let mut silent = server.connect();
     let mut half = server.connect();
