@@ -58,7 +58,7 @@ fn floods_are_closed_with_their_reason() {
     beside_a_flight(&["--frames-per-second-max", "100"], |server| {
         let mut flood = greeted(server, Encoding::Json);
         let mut sent = 0;
-        while sent < 100_000 && flood.send_text("[]") {
+        while sent < 20_000 && flood.send_text("[]") {
             sent += 1;
         }
         let (errors, code, _) = flood.closed();
@@ -140,27 +140,35 @@ fn compression_is_not_offered() {
 
 #[test]
 fn a_slow_consumer_is_let_go() {
-    beside_a_flight(&["--answers-max", "64", "--frames-per-second-max", "5000"], |server| {
+    let options = [
+        "--answers-max",
+        "64",
+        "--frames-per-second-max",
+        "100000",
+        "--bytes-per-second-max",
+        "1GiB",
+        "--idle-after",
+        "20s",
+    ];
+    beside_a_flight(&options, |server| {
         let mut slow = greeted(server, Encoding::Json);
-        // Answers with errors and reads nothing: they gather in its socket, then in its queue.
+        // Is answered with errors and reads none: they gather in its socket, then in its queue.
         let unknown = ClientMessage::Completed(Event { t_ns: 0, rep: u32::MAX });
-        let frame = vec![unknown; 64];
-        for _ in 0..20_000 {
-            if !slow.send(&frame) {
-                break;
-            }
-            std::thread::sleep(Duration::from_micros(300));
-            if server_closed(server) {
-                break;
-            }
+        let frame = vec![unknown; 16];
+        let closed = || server.get("/metrics").1.contains("foresight_connections_closed_total{reason=\"slow\"} 1");
+        let mut sent = 0;
+        while slow.send(&frame) && (sent % 500 != 0 || !closed()) {
+            sent += 1;
+            assert!(sent < 400_000, "it is still taken for a reader");
         }
-        let closed = server.metric("foresight_connections_closed_total");
-        assert!(closed.is_some_and(|closed| closed >= 1.0), "{closed:?}");
+        for _ in 0..100 {
+            if closed() {
+                return;
+            }
+            std::thread::sleep(Duration::from_millis(50));
+        }
+        panic!("{}", server.get("/metrics").1);
     });
-}
-
-fn server_closed(server: &Server) -> bool {
-    server.metric("foresight_connections_closed_total").is_some_and(|closed| closed >= 1.0)
 }
 
 #[test]
@@ -190,29 +198,17 @@ fn random(state: &mut u64) -> u64 {
 
 /// A frame that is a list of messages nearly as it should be.
 fn nearly(state: &mut u64) -> String {
-    let number = |state: &mut u64| match random(state) % 9 {
-        0 => "0".to_owned(),
-        1 => "-1".to_owned(),
-        2 => "1e308".to_owned(),
-        3 => u64::MAX.to_string(),
-        4 => "4294967296".to_owned(),
-        5 => "null".to_owned(),
-        6 => "\"x\"".to_owned(),
+    let number = |state: &mut u64| match random(state) % 100 {
+        0 => "-1".to_owned(),
+        1 => "1e308".to_owned(),
+        2 => "null".to_owned(),
+        3 => "\"x\"".to_owned(),
+        4..10 => u64::MAX.to_string(),
+        10..20 => u32::MAX.to_string(),
+        20..40 => "0".to_owned(),
         _ => (random(state) % 2000).to_string(),
     };
-    let kinds = [
-        "responded",
-        "arrived",
-        "completed",
-        "dropped",
-        "failed",
-        "progress",
-        "view",
-        "path",
-        "settings",
-        "hello",
-        "fetch",
-    ];
+    let kinds = ["responded", "arrived", "completed", "dropped", "failed", "progress", "view", "settings"];
     let message = |state: &mut u64| {
         let kind = kinds[(random(state) % kinds.len() as u64) as usize];
         let (a, b, c) = (number(state), number(state), number(state));
@@ -221,7 +217,6 @@ fn nearly(state: &mut u64) -> String {
                 "{{\"type\":\"view\",\"t_ns\":{a},\"cameras\":[{{\"position\":[{b},{c},0],\"orientation\":[0,0,0,1],\"fov_y\":{c},\"viewport\":[{b},9]}}]}}"
             ),
             "progress" => format!("{{\"type\":\"progress\",\"t_ns\":{a},\"total_bytes\":{b},\"in_flight_bytes\":{c}}}"),
-            "path" => format!("{{\"type\":\"path\",\"views\":[{{\"t_ns\":{a},\"camera\":{b}}}]}}"),
             "settings" => format!("{{\"type\":\"settings\",\"memory_bytes\":{a}}}"),
             "failed" => format!("{{\"type\":\"failed\",\"t_ns\":{a},\"rep\":{b},\"reason\":\"\\u0000\\u001b\"}}"),
             kind => format!("{{\"type\":\"{kind}\",\"t_ns\":{a},\"rep\":{b}}}"),
@@ -229,7 +224,7 @@ fn nearly(state: &mut u64) -> String {
     };
     let messages: Vec<String> = (0..random(state) % 4).map(|_| message(state)).collect();
     let mut text = format!("[{}]", messages.join(","));
-    if random(state) % 8 == 0 {
+    if random(state).is_multiple_of(32) {
         let place = (random(state) % text.len() as u64) as usize;
         text.replace_range(place..place + 1, ["\u{0}", "[", "é", "\\", ""][(random(state) % 5) as usize]);
     }
@@ -275,7 +270,7 @@ fn garbage_is_answered_or_closed_with_a_reason() {
 #[test]
 fn many_worlds_and_many_clients_that_only_connect() {
     let folder = tempfile::tempdir().expect("a folder");
-    let worlds: Vec<String> = (0..24).map(|n| format!("w{n}=city:blocks=2:seed={n}")).collect();
+    let worlds: Vec<String> = (0..24).map(|n| format!("w{n}=city:blocks=2")).collect();
     let mut options = vec!["--world"];
     options.extend(worlds.iter().map(String::as_str));
     options.extend(["--sessions-per-address-max", "60", "--hello-within", "2s"]);

@@ -1,5 +1,6 @@
 //! A client of sessions that does what a test says, over a real socket; and plain HTTP requests.
 
+use std::collections::VecDeque;
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::time::Duration;
@@ -11,6 +12,9 @@ use foresight_wire::message::{
 use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::tungstenite::http::{HeaderName, HeaderValue};
 use tokio_tungstenite::tungstenite::{self, Message, WebSocket};
+
+/// Between two views, by the client's clock; at most as long as it waits for an answer.
+const VIEW_EVERY: Duration = Duration::from_millis(50);
 
 /// Numbers of representations that no world has.
 const PROBED: u32 = 4_000_000_000;
@@ -24,6 +28,10 @@ pub struct Client {
     /// The socket.
     pub socket: WebSocket<TcpStream>,
     encoding: Encoding,
+    /// What it was told to fetch and has not done.
+    pending: VecDeque<u32>,
+    /// Views sent.
+    views: u64,
 }
 
 /// What came from the server.
@@ -86,6 +94,7 @@ impl Client {
     pub fn try_connect(port: u16, encoding: Encoding, fields: &[(&str, &str)]) -> Result<Client, u16> {
         let stream = TcpStream::connect(("127.0.0.1", port)).expect("the server listens");
         stream.set_read_timeout(Some(ANSWERING)).expect("a timeout can be set");
+        stream.set_write_timeout(Some(ANSWERING)).expect("a timeout can be set");
         let address = format!("ws://127.0.0.1:{port}/sessions/socket");
         let mut request = address.into_client_request().expect("an address");
         let protocol = match encoding {
@@ -99,7 +108,7 @@ impl Client {
             headers.insert(name, value.parse().expect("a field's value"));
         }
         match tungstenite::client(request, stream) {
-            Ok((socket, _)) => Ok(Client { socket, encoding }),
+            Ok((socket, _)) => Ok(Client { socket, encoding, pending: VecDeque::new(), views: 0 }),
             Err(tungstenite::HandshakeError::Failure(tungstenite::Error::Http(response))) => {
                 Err(response.status().as_u16())
             }
@@ -175,30 +184,36 @@ impl Client {
         })
     }
 
-    /// A fetch, views being sent until one comes.
+    /// What it is told to fetch next, views being sent until it is told something.
     ///
     /// # Panics
-    /// If none comes after many views.
+    /// If it is told nothing after many views.
     pub fn fetch(&mut self) -> u32 {
-        self.wait(Duration::from_millis(50));
-        for number in 0..400 {
-            assert!(self.send(&[view(number * 33_000_000, number)]), "the view is sent");
+        self.wait(VIEW_EVERY);
+        for _ in 0..400 {
+            if let Some(rep) = self.pending.pop_front() {
+                self.wait(ANSWERING);
+                return rep;
+            }
+            self.views += 1;
+            assert!(self.send(&[view(self.now_ns(), self.views)]), "the view is sent");
             match self.next() {
                 Received::Nothing => {}
                 Received::Messages(messages) => {
-                    let fetch = |message: &ServerMessage| match message {
+                    self.pending.extend(messages.iter().filter_map(|message| match message {
                         ServerMessage::Fetch(fetch) => Some(fetch.rep),
                         _ => None,
-                    };
-                    if let Some(rep) = messages.iter().find_map(fetch) {
-                        self.wait(ANSWERING);
-                        return rep;
-                    }
+                    }))
                 }
                 other => panic!("expected an answer, not {other:?}"),
             }
         }
         panic!("nothing is to be fetched");
+    }
+
+    /// Its clock: as many steps as it has sent views.
+    fn now_ns(&self) -> u64 {
+        self.views * VIEW_EVERY.as_nanos() as u64
     }
 
     /// How long to wait for a frame from now on.
@@ -241,8 +256,8 @@ impl Client {
     }
 
     /// Says that something has come and can be shown.
-    pub fn complete(&mut self, rep: u32, t_ns: u64) -> bool {
-        let event = Event { t_ns, rep };
+    pub fn complete(&mut self, rep: u32) -> bool {
+        let event = Event { t_ns: self.now_ns(), rep };
         self.send(&[ClientMessage::Responded(event), ClientMessage::Arrived(event), ClientMessage::Completed(event)])
     }
 

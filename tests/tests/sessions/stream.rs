@@ -8,7 +8,7 @@ use crate::WORLD;
 use foresight_tests::sidecar::client::{hello, http, view};
 use foresight_tests::sidecar::process::Server;
 use foresight_wire::encoding::Encoding;
-use foresight_wire::message::{ClientMessage, ServerMessage};
+use foresight_wire::message::{ClientMessage, Event, ServerMessage};
 
 const JSON: [(&str, &str); 1] = [("Content-Type", "application/json")];
 
@@ -36,18 +36,15 @@ impl Reader {
 
     /// Number, name and messages of the next event.
     fn next(&mut self) -> Option<(u64, String, Vec<ServerMessage>)> {
-        let (mut number, mut name) = (0, String::new());
+        let (mut number, mut name, mut messages) = (0, String::new(), None);
         while let Some(Ok(line)) = self.lines.next() {
             if let Some(id) = line.strip_prefix("id: ") {
                 number = id.parse().expect("a number");
             } else if let Some(event) = line.strip_prefix("event: ") {
                 name = event.to_owned();
             } else if let Some(data) = line.strip_prefix("data: ") {
-                let messages = Encoding::Json.read(data.as_bytes()).expect("messages of the server");
-                // The rest of the event follows in the same chunk.
-                if name.is_empty() && number == 0 {
-                    continue;
-                }
+                messages = Some(Encoding::Json.read(data.as_bytes()).expect("messages of the server"));
+            } else if let (true, Some(messages)) = (line.is_empty(), messages.take()) {
                 return Some((number, name, messages));
             }
         }
@@ -74,9 +71,10 @@ fn a_session_without_a_socket() {
     let (first, name, messages) = reader.next().expect("an event");
     assert_eq!((first, name.as_str()), (1, ""));
     assert!(messages.iter().any(|message| matches!(message, ServerMessage::Fetch(_))), "{messages:?}");
-    // Read on elsewhere: the same event again, and what came meanwhile.
+    // Read on elsewhere: the same event again, and what came meanwhile: an objection.
     drop(reader);
-    assert_eq!(http(port, "POST", frames, &JSON, &text(&[view(33_000_000, 50)])).0, 202);
+    let wrong = ClientMessage::Completed(Event { t_ns: 33_000_000, rep: u32::MAX });
+    assert_eq!(http(port, "POST", frames, &JSON, &text(&[wrong])).0, 202);
     let mut reader = Reader::open(port, events, Some(0));
     assert_eq!(reader.next().map(|(number, _, messages)| (number, messages)), Some((1, messages)));
     assert_eq!(reader.next().map(|(number, ..)| number), Some(2));
