@@ -86,11 +86,11 @@ fn record(world: &World, flight: &Flight, link: &LinkTrace, hello: &Hello, late:
             let Some(place) = transfers.iter().position(|t| t.0 == id) else { continue };
             let (_, rep) = transfers.remove(place);
             frame.push(ClientMessage::Arrived(Event { t_ns: said(at), rep: rep.0 }));
-            pipeline.arrived(tree, rep, at);
+            pipeline.arrived(rep, tree.decoded_bytes(rep), at);
         }
         let ready = |rep: RepId| tree.prerequisite(rep).is_none_or(|p| held.contains(&p));
         let mut shown = Vec::new();
-        pipeline.upload(tree, now, ready, |rep| shown.push(rep));
+        pipeline.upload(now, ready, |rep| shown.push(rep));
         for rep in shown {
             held.insert(rep);
             frame.push(ClientMessage::Completed(Event { t_ns: said(now), rep: rep.0 }));

@@ -11,6 +11,10 @@ use foresight_index::manifest;
 use foresight_server::http::{self, entity_tag::Comparison};
 use foresight_traces::path::parse::{Format, Options};
 use foresight_traces::{link, path};
+use foresight_wire::encoding::Encoding;
+use foresight_wire::message::ClientMessage;
+
+use crate::session;
 
 /// A parser: accepted, or refused with its message.
 pub type Parser = fn(&[u8]) -> Result<(), String>;
@@ -21,6 +25,8 @@ pub const TARGETS: &[(&str, Parser)] = &[
     ("asteroids", |bytes| outcome(document::parse::<AsteroidParams>(bytes))),
     ("city", |bytes| outcome(document::parse::<CityParams>(bytes))),
     ("cityjson", |bytes| outcome(cityjson::parse(bytes, "model"))),
+    ("client-messages", |bytes| outcome(Encoding::Json.read::<ClientMessage>(bytes))),
+    ("client-messages-msgpack", |bytes| outcome(Encoding::MessagePack.read::<ClientMessage>(bytes))),
     ("comma2k19", comma2k19),
     ("content", |bytes| outcome(tiles3d::content_summary(bytes))),
     ("delay", |bytes| outcome(link::delay::parse("delay", bytes))),
@@ -37,6 +43,8 @@ pub const TARGETS: &[(&str, Parser)] = &[
     ("path", |bytes| outcome(path::parse::from_bytes("path", bytes, &path::parse::Options::default()))),
     ("recording", recording),
     ("sabre", |bytes| outcome(link::sabre::parse("sabre", bytes))),
+    ("session", session::lines),
+    ("session-recording", session::recording),
     ("subtree", subtree),
     ("terrain", |bytes| outcome(document::parse::<TerrainParams>(bytes))),
     ("tileset", |bytes| outcome(tiles3d::parse_tileset(bytes))),

@@ -82,6 +82,7 @@ pub fn router(state: Arc<AppState>, others: OpenApiRouter) -> Router {
     Router::new()
         .merge(addresses)
         .merge(pages)
+        .merge(crate::browser::routes())
         .layer(RequestBodyTimeoutLayer::new(state.limits.body_within))
         .layer(DefaultBodyLimit::max(state.limits.body_bytes))
         .merge(documentation)
