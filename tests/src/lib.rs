@@ -1,6 +1,7 @@
 //! What the end-to-end tests share: running the built programs, inputs written by the test itself, recorded data, the
-//! byte-level parsers that the fuzz corpora exercise, and the comparison with real viewers.
+//! byte-level parsers that the fuzz corpora exercise, a browser, and the comparison with real viewers.
 
+pub mod chromium;
 pub mod delivery;
 pub mod fidelity;
 pub mod input;
