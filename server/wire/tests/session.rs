@@ -22,8 +22,13 @@ fn fetched(answers: &[ServerMessage]) -> Vec<u32> {
 }
 
 fn errors(answers: &[ServerMessage]) -> Vec<(ErrorCode, &str)> {
-    let error = |a| if let &ServerMessage::Error(ref e) = a { Some((e.code, e.message.as_str())) } else { None };
-    answers.iter().filter_map(error).collect()
+    let mut errors = Vec::new();
+    for answer in answers {
+        if let ServerMessage::Error(error) = answer {
+            errors.push((error.code, error.message.as_str()));
+        }
+    }
+    errors
 }
 
 fn open<'a>(tree: &'a LodTree, hello: &Hello) -> (Session<'a>, Vec<ServerMessage>) {
