@@ -1,4 +1,4 @@
-//! What the end-to-end tests share: running the built programs, inputs written by the test itself, recorded data, the
+//! What the end-to-end tests share: running the built programs, server and client among them, inputs written by the test itself, recorded data, the
 //! byte-level parsers that the fuzz corpora exercise, and the comparison with real viewers.
 
 pub mod delivery;
@@ -8,6 +8,7 @@ pub mod parser;
 pub mod postgres;
 pub mod program;
 pub mod session;
+pub mod sidecar;
 
 use std::path::{Path, PathBuf};
 

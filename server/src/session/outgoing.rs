@@ -10,6 +10,8 @@ use tokio::sync::Notify;
 pub(super) struct Outgoing {
     state: Mutex<State>,
     changed: Notify,
+    /// More wait than may.
+    full: Notify,
     /// Messages that may wait.
     most: usize,
 }
@@ -44,7 +46,7 @@ pub(super) struct Batch {
 
 impl Outgoing {
     pub(super) fn new(most: usize) -> Outgoing {
-        Outgoing { state: Mutex::default(), changed: Notify::new(), most }
+        Outgoing { state: Mutex::default(), changed: Notify::new(), full: Notify::new(), most }
     }
 
     /// Adds answers to a frame received then, or to none. False if the connection was closed, or is now because more wait
@@ -58,8 +60,6 @@ impl Outgoing {
             let superseded = |old: &ServerMessage| match message {
                 ServerMessage::Wait { .. } => matches!(old, ServerMessage::Wait { .. }),
                 ServerMessage::Estimates(_) => matches!(old, ServerMessage::Estimates(_)),
-                // The client hears of a wait only where nothing is to be done after it.
-                ServerMessage::Fetch(_) => matches!(old, ServerMessage::Wait { .. }),
                 _ => false,
             };
             if !matches!(message, ServerMessage::Error(_)) {
@@ -74,6 +74,7 @@ impl Outgoing {
             let message =
                 format!("{} answers wait for this connection; expected at most {}", state.messages.len(), self.most);
             let error = Error { code: ErrorCode::Limit, message, fatal: true };
+            self.full.notify_one();
             *state = State { closed: Some(Closed { error: Some(error), reason: "slow" }), ..State::default() };
         }
         let open = state.closed.is_none();
@@ -88,6 +89,11 @@ impl Outgoing {
         state.closed.get_or_insert(Closed { error, reason });
         drop(state);
         self.changed.notify_one();
+    }
+
+    /// Waits until more wait than may.
+    pub(super) async fn overflow(&self) {
+        self.full.notified().await;
     }
 
     /// Waits for something to send. After [`Batch::closed`] there is nothing more.
