@@ -8,7 +8,7 @@ use foresight_index::generate::document;
 use foresight_index::generate::terrain::TerrainParams;
 use foresight_index::import::{cityjson, elevation, tiles3d};
 use foresight_index::manifest;
-use foresight_server::http;
+use foresight_server::http::{self, entity_tag::Comparison};
 use foresight_traces::path::parse::{Format, Options};
 use foresight_traces::{link, path};
 use foresight_wire::encoding::Encoding;
@@ -69,7 +69,7 @@ fn subtree(bytes: &[u8]) -> Result<(), String> {
 }
 
 /// What the server reads of a request: the first line is a path below a world, the second a `Range` of 1000 bytes, the third an
-/// `Accept-Encoding`, the fourth a `Priority`. Refused is a path that leaves the world, or a range that is none or not there.
+/// `Accept-Encoding`, the fourth a `Priority`, the fifth a list of entity tags. Refused is a path that leaves the world, or a range that is none or not there.
 fn http_request(bytes: &[u8]) -> Result<(), String> {
     let mut lines = bytes.split(|&byte| byte == b'\n');
     let mut line = || lines.next().unwrap_or_default();
@@ -79,6 +79,10 @@ fn http_request(bytes: &[u8]) -> Result<(), String> {
     let accepted = http::encoding::accepted(&String::from_utf8_lossy(line()));
     let priority = http::priority::Priority::parse(line());
     assert!(accepted.len() <= 3 && priority.urgency <= 7, "{accepted:?}, {priority:?}");
+    let tags = line();
+    let [weakly, strongly] =
+        [Comparison::Weak, Comparison::Strong].map(|how| http::entity_tag::holds(tags, b"\"a\"", how));
+    assert!(weakly || !strongly);
     let path = path?;
     assert_eq!(http::path::decode(&http::path::encode(&path)).as_ref(), Some(&path));
     match range {

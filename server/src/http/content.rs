@@ -12,12 +12,13 @@ use axum::http::request::Parts;
 use axum::http::{Method, StatusCode};
 use axum::response::{IntoResponse, Response};
 use foresight_scheduler::lod_tree::RepId;
-use headers::{HeaderMapExt, IfMatch, IfModifiedSince, IfNoneMatch, IfUnmodifiedSince, LastModified};
+use headers::{HeaderMapExt, IfModifiedSince, IfUnmodifiedSince, LastModified};
 use percent_encoding::percent_decode_str;
 
 use super::body::{Delivery, Source};
 use super::connection::Activity;
 use super::encoding::{self, Coding};
+use super::entity_tag::{self, Comparison};
 use super::media;
 use super::path;
 use super::priority::Priority;
@@ -362,19 +363,21 @@ fn ascii(text: String) -> HeaderValue {
 
 /// 304 or 412 as RFC 9110, section 13.2.2, orders the conditions.
 fn precondition(asked: &HeaderMap, found: &Found) -> Option<StatusCode> {
-    let etag = || found.etag.to_str().ok().and_then(|text| text.parse::<headers::ETag>().ok());
-    if let Some(condition) = asked.typed_get::<IfMatch>() {
-        if !etag().is_some_and(|etag| condition.precondition_passes(&etag)) {
+    // One of the field's lines holds the tag; `None` without such a field.
+    let holds = |name: HeaderName, comparison| {
+        let mut lines = asked.get_all(name).iter().peekable();
+        lines.peek()?;
+        Some(lines.any(|line| entity_tag::holds(line.as_bytes(), found.etag.as_bytes(), comparison)))
+    };
+    match (holds(header::IF_MATCH, Comparison::Strong), asked.typed_get::<IfUnmodifiedSince>(), found.modified) {
+        (Some(false), ..) => return Some(StatusCode::PRECONDITION_FAILED),
+        (None, Some(condition), Some(modified)) if !condition.precondition_passes(modified) => {
             return Some(StatusCode::PRECONDITION_FAILED);
         }
-    } else if let (Some(condition), Some(modified)) = (asked.typed_get::<IfUnmodifiedSince>(), found.modified)
-        && !condition.precondition_passes(modified)
-    {
-        return Some(StatusCode::PRECONDITION_FAILED);
+        _ => {}
     }
-    if let Some(condition) = asked.typed_get::<IfNoneMatch>() {
-        let passes = etag().is_none_or(|etag| condition.precondition_passes(&etag));
-        return (!passes).then_some(StatusCode::NOT_MODIFIED);
+    if let Some(held) = holds(header::IF_NONE_MATCH, Comparison::Weak) {
+        return held.then_some(StatusCode::NOT_MODIFIED);
     }
     match (asked.typed_get::<IfModifiedSince>(), found.modified) {
         (Some(condition), Some(modified)) if !condition.is_modified(modified) => Some(StatusCode::NOT_MODIFIED),

@@ -5,6 +5,7 @@ mod body;
 mod connection;
 mod content;
 pub mod encoding;
+pub mod entity_tag;
 mod filler;
 pub mod limits;
 pub mod listener;
