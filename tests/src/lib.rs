@@ -7,6 +7,7 @@ pub mod input;
 pub mod parser;
 pub mod postgres;
 pub mod program;
+pub mod session;
 pub mod sidecar;
 
 use std::path::{Path, PathBuf};

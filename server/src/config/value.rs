@@ -277,10 +277,10 @@ pub struct Origin(pub String);
 
 impl Value for Origin {
     fn read(texts: &[&str]) -> Option<Self> {
-        let text = single(texts)?.to_ascii_lowercase();
+        let text = single(texts)?;
         let host = text.strip_prefix("https://").or_else(|| text.strip_prefix("http://"))?;
         let plain = |c: char| c.is_ascii_alphanumeric() || ".-:[]".contains(c);
-        (!host.is_empty() && host.chars().all(plain)).then(|| Origin(text.clone()))
+        (!host.is_empty() && host.chars().all(plain)).then(|| Origin(text.to_ascii_lowercase()))
     }
 
     fn texts(&self) -> Vec<String> {

@@ -69,8 +69,9 @@ fn a_server_that_is_killed_and_comes_back_is_used_again() {
     let broke = broke.map_or(0, |line| line.t_ns);
     let shown = live.flown.lines.iter().filter(|line| line.event == "completed" && line.t_ns > broke).count();
     assert!(shown > 0, "nothing was shown after the server had come back");
-    let back = live.flown.requests().iter().map(|r| r.0).zip(live.flown.requests().iter().skip(1).map(|r| r.0));
-    let (_, back) = back.max_by_key(|(before, after)| after - before).expect("several requests");
+    let requests = live.flown.requests();
+    let pause = requests.windows(2).max_by_key(|pair| pair[1].0 - pair[0].0).expect("several requests");
+    let back = pause[1].0;
     recovery("server killed for a second", &case, (&undisturbed, &live), back as f64 * 1e-9, RATE);
     let (code, log) = server.stop();
     assert_eq!(code, Some(0), "{log}");
