@@ -138,7 +138,12 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
 
 /// The program, installed from Debian's packages if it is not there.
 fn program(name: &'static str, package: &str) -> Result<PathBuf, DeliveryError> {
-    let found = || ["/usr/sbin", "/usr/bin", "/usr/local/bin"].map(|folder| Path::new(folder).join(name)).into_iter().find(|path| path.is_file());
+    let found = || {
+        ["/usr/sbin", "/usr/bin", "/usr/local/bin"]
+            .map(|folder| Path::new(folder).join(name))
+            .into_iter()
+            .find(|path| path.is_file())
+    };
     if let Some(path) = found() {
         return Ok(path);
     }

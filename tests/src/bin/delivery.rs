@@ -10,8 +10,10 @@ use foresight_tests::delivery::{Plan, compare};
 /// Needs nginx and wrk, which it installs with apt-get where it can. Both servers and wrk share this machine's cores, so
 /// only ratios within one run mean anything. Build the server for speed first: cargo build --release -p foresight-server.
 #[derive(Parser)]
-#[command(after_help = "Example:\n  cargo build --release -p foresight-server && cargo run -p foresight-tests --bin delivery -- \
---program target/release/foresight-server")]
+#[command(
+    after_help = "Example:\n  cargo build --release -p foresight-server && cargo run -p foresight-tests --bin delivery -- \
+--program target/release/foresight-server"
+)]
 struct Arguments {
     /// foresight-server as it is to be measured
     #[arg(long, value_name = "FILE")]
