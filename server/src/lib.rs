@@ -1,5 +1,6 @@
 //! Serves worlds over HTTP and hosts schedulers for the clients that fly through them.
 
+pub mod browser;
 pub mod clock;
 pub mod config;
 pub mod http;

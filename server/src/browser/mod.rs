@@ -24,29 +24,28 @@ struct Asset {
 }
 
 const SCRIPT: &str = "text/javascript; charset=utf-8";
-const ASSETS: [Asset; 6] = [
+static ASSETS: [Asset; 7] = [
     Asset { address: "/foresight.js", media_type: SCRIPT, text: include_str!("foresight.js") },
     Asset { address: "/fly/", media_type: "text/html; charset=utf-8", text: include_str!("fly.html") },
     Asset { address: "/fly/fly.css", media_type: "text/css; charset=utf-8", text: include_str!("fly.css") },
     Asset { address: "/fly/fly.js", media_type: SCRIPT, text: include_str!("fly.js") },
     Asset { address: "/fly/camera.js", media_type: SCRIPT, text: include_str!("camera.js") },
     Asset { address: "/fly/charts.js", media_type: SCRIPT, text: include_str!("charts.js") },
+    Asset { address: "/fly/self_test.js", media_type: SCRIPT, text: include_str!("self_test.js") },
 ];
-const SELF_TEST: Asset =
-    Asset { address: "/fly/self_test.js", media_type: SCRIPT, text: include_str!("self_test.js") };
 
 /// The addresses of the client for browsers; they need no state.
 pub fn routes() -> Router {
     let fly = Router::new().route("/fly", get(|| async { Redirect::permanent("/fly/") }));
-    ASSETS.into_iter().chain([SELF_TEST]).fold(fly, |router, asset| {
+    ASSETS.iter().fold(fly, |router, asset| {
         let tag = format!("\"{}\"", &blake3::hash(asset.text.as_bytes()).to_hex()[..32]);
-        let handler = get(move |headers: HeaderMap| async move { answer(&asset, tag, &headers) });
+        let handler = get(move |headers: HeaderMap| async move { answer(asset, tag, &headers) });
         router.route(asset.address, handler)
     })
 }
 
 /// The file, or that it has not changed.
-fn answer(asset: &Asset, tag: String, headers: &HeaderMap) -> Response {
+fn answer(asset: &'static Asset, tag: String, headers: &HeaderMap) -> Response {
     let known = headers.get_all(IF_NONE_MATCH).iter().filter_map(|value| value.to_str().ok());
     let mut known = known.flat_map(|value| value.split(',')).map(|tag| tag.trim().trim_start_matches("W/"));
     let is_known = known.any(|known| known == tag || known == "*");
@@ -73,13 +72,13 @@ mod tests {
 
     async fn get(address: &str, tag: Option<&str>) -> Response {
         let request = Request::get(address);
-        let request = tag.map_or(Request::get(address), |tag| request.header(IF_NONE_MATCH, tag));
+        let request = if let Some(tag) = tag { request.header(IF_NONE_MATCH, tag) } else { request };
         routes().oneshot(request.body(Body::empty()).unwrap()).await.unwrap()
     }
 
     #[tokio::test]
     async fn files_are_served_once() {
-        for asset in ASSETS.iter().chain([&SELF_TEST]) {
+        for asset in &ASSETS {
             let response = get(asset.address, None).await;
             assert_eq!(response.status(), StatusCode::OK, "{}", asset.address);
             assert_eq!(response.headers()[CONTENT_TYPE], asset.media_type);
@@ -95,9 +94,9 @@ mod tests {
     /// What the page and its modules load is served, and nothing is written into the page that the policy forbids.
     #[test]
     fn the_page_loads_only_what_is_here() {
-        let here: BTreeSet<&str> = ASSETS.iter().chain([&SELF_TEST]).map(|asset| asset.address).collect();
+        let here: BTreeSet<&str> = ASSETS.iter().map(|asset| asset.address).collect();
         let mut loaded = 0;
-        for asset in ASSETS.iter().chain([&SELF_TEST]) {
+        for asset in &ASSETS {
             for (before, after) in [("src=\"", '"'), ("href=\"", '"'), ("from \"", '"')] {
                 // The module's documentation shows how others import it.
                 let code = asset.text.lines().filter(|line| !line.trim_start().starts_with(['*', '/']));

@@ -4,7 +4,8 @@ mod api;
 mod body;
 mod connection;
 mod content;
-mod encoding;
+pub mod encoding;
+pub mod entity_tag;
 mod filler;
 pub mod limits;
 pub mod listener;
@@ -12,9 +13,9 @@ mod media;
 pub mod metrics;
 mod page;
 pub mod path;
-mod priority;
+pub mod priority;
 pub mod problem;
-mod range;
+pub mod range;
 pub mod shaping;
 pub mod state;
 pub mod store;
@@ -81,6 +82,7 @@ pub fn router(state: Arc<AppState>, others: OpenApiRouter) -> Router {
     Router::new()
         .merge(addresses)
         .merge(pages)
+        .merge(crate::browser::routes())
         .layer(RequestBodyTimeoutLayer::new(state.limits.body_within))
         .layer(DefaultBodyLimit::max(state.limits.body_bytes))
         .merge(documentation)

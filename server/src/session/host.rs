@@ -45,10 +45,11 @@ pub struct Host {
 #[derive(Debug, Default)]
 struct Sessions {
     by_id: BTreeMap<String, Arc<Handle>>,
-    /// Sessions, and connections that have not said hello, of each address.
+    /// How many each address has.
     of_address: BTreeMap<IpAddr, usize>,
-    /// Connections that have not said hello.
-    strangers: usize,
+    /// Connections that have not said hello, of each address; limited like sessions, but apart from them: those who come
+    /// back to a session find the way in also when no other is to be had.
+    strangers: BTreeMap<IpAddr, usize>,
     begun: u64,
 }
 
@@ -116,19 +117,16 @@ impl std::fmt::Debug for Host {
 
 impl Drop for Stranger {
     fn drop(&mut self) {
-        let mut sessions = self.host.sessions();
-        sessions.strangers = sessions.strangers.saturating_sub(1);
-        sessions.leave(self.address);
+        leave(&mut self.host.sessions().strangers, self.address);
     }
 }
 
-impl Sessions {
-    fn leave(&mut self, address: IpAddr) {
-        if let Some(count) = self.of_address.get_mut(&address) {
-            *count -= 1;
-            if *count == 0 {
-                self.of_address.remove(&address);
-            }
+/// One less of an address.
+fn leave(of_address: &mut BTreeMap<IpAddr, usize>, address: IpAddr) {
+    if let Some(count) = of_address.get_mut(&address) {
+        *count -= 1;
+        if *count == 0 {
+            of_address.remove(&address);
         }
     }
 }
@@ -197,9 +195,8 @@ impl Host {
     pub(super) fn stranger(self: &Arc<Host>, address: IpAddr) -> Result<Stranger, Error> {
         self.must_run()?;
         let mut sessions = self.sessions();
-        self.must_have_room(&sessions, address)?;
-        sessions.strangers += 1;
-        *sessions.of_address.entry(address).or_default() += 1;
+        self.must_have_room(sessions.strangers.values().sum(), &sessions.strangers, address)?;
+        *sessions.strangers.entry(address).or_default() += 1;
         Ok(Stranger { host: self.clone(), address })
     }
 
@@ -211,9 +208,9 @@ impl Host {
         Ok(())
     }
 
-    fn must_have_room(&self, sessions: &Sessions, address: IpAddr) -> Result<(), Error> {
+    fn must_have_room(&self, all: usize, of_address: &BTreeMap<IpAddr, usize>, address: IpAddr) -> Result<(), Error> {
         let most = self.config.sessions_max.count();
-        if sessions.by_id.len() + sessions.strangers >= most {
+        if all >= most {
             self.metrics.refused("sessions");
             return Err(refusal(
                 ErrorCode::Limit,
@@ -221,7 +218,7 @@ impl Host {
             ));
         }
         let most = self.config.sessions_per_address_max.count();
-        if sessions.of_address.get(&address).copied().unwrap_or(0) >= most {
+        if of_address.get(&address).copied().unwrap_or(0) >= most {
             self.metrics.refused("sessions_of_address");
             let message = format!("{most} sessions of this address are open; expected fewer: try again later");
             return Err(refusal(ErrorCode::Limit, message));
@@ -257,10 +254,8 @@ impl Host {
         }
         let id = new_id().ok_or_else(|| refusal(ErrorCode::Internal, "the system gives no random numbers"))?;
         self.must_run()?;
-        // Its place becomes the session's.
-        drop(stranger);
         let mut sessions = self.sessions();
-        self.must_have_room(&sessions, address)?;
+        self.must_have_room(sessions.by_id.len(), &sessions.of_address, address)?;
         sessions.begun += 1;
         let thread = self.threads.iter().min_by_key(|thread| Arc::strong_count(thread)).unwrap_or(&self.threads[0]);
         let room = ROOM_FRAMES * self.config.message_bytes_max.length();
@@ -304,7 +299,7 @@ impl Host {
         session.close();
         let mut sessions = self.sessions();
         if sessions.by_id.remove(&session.id).is_some() {
-            sessions.leave(session.address);
+            leave(&mut sessions.of_address, session.address);
             drop(sessions);
             self.metrics.active.dec();
             if let Some(links) = self.links() {

@@ -112,6 +112,11 @@ impl Handle {
         }
     }
 
+    /// The beginning of the id, for the log: the whole would let its readers speak for the client.
+    pub(super) fn short(&self) -> &str {
+        self.id.get(..8).unwrap_or_default()
+    }
+
     fn mail(&self) -> MutexGuard<'_, Mail> {
         self.mail.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -296,5 +301,106 @@ impl Thread {
                 }
             };
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use foresight_wire::message::{Event, Views};
+
+    fn session(number: u64, thread: &Arc<Thread>) -> Arc<Handle> {
+        let world = Box::leak(Box::new(HostedWorld::open("w=city:blocks=1").expect("a world")));
+        let address = IpAddr::from([127, 0, 0, 1]);
+        Arc::new(Handle::new((number.to_string(), number), world, address, crate::clock::now(), thread.clone(), 8192))
+    }
+
+    fn view(t_ns: u64) -> ClientMessage {
+        ClientMessage::View(Views { t_ns, cameras: Vec::new() })
+    }
+
+    fn completed(rep: u32) -> ClientMessage {
+        ClientMessage::Completed(Event { t_ns: 0, rep })
+    }
+
+    fn frame(at: Instant, messages: Vec<ClientMessage>) -> Item {
+        Item::Frame(Frame { at, messages, room: None })
+    }
+
+    fn messages(turn: &Turn) -> Vec<ClientMessage> {
+        let frames =
+            turn.items.iter().filter_map(|item| if let Item::Frame(frame) = item { Some(frame) } else { None });
+        frames.flat_map(|frame| frame.messages.clone()).collect()
+    }
+
+    #[test]
+    fn frames_in_time_are_worked_off_one_by_one() {
+        let thread = Arc::new(Thread::new(Gauge::default()));
+        let (session, now) = (session(1, &thread), crate::clock::now());
+        for t_ns in 0..3 {
+            assert!(session.post(frame(now, vec![view(t_ns), completed(t_ns as u32)])));
+        }
+        for t_ns in 0..3 {
+            assert!(matches!(thread.next(Some(now)), Next::Session(next) if next.number == 1));
+            let turn = session.turn(now, 100);
+            assert_eq!((messages(&turn), turn.merged), (vec![view(t_ns), completed(t_ns as u32)], 0));
+        }
+        assert!(matches!(thread.next(Some(now)), Next::Timer));
+    }
+
+    #[test]
+    fn late_frames_are_merged_without_their_older_views_and_with_all_events() {
+        let thread = Arc::new(Thread::new(Gauge::default()));
+        let (session, now) = (session(1, &thread), crate::clock::now());
+        for t_ns in 0..4 {
+            session.post(frame(now, vec![completed(t_ns as u32), view(t_ns)]));
+        }
+        session.post(Item::Driving(false));
+        session.post(frame(now, vec![view(9)]));
+        let later = now + 2 * MERGE_AFTER;
+        let turn = session.turn(later, 100);
+        assert_eq!(messages(&turn), [completed(0), completed(1), completed(2), completed(3), view(3)]);
+        assert_eq!(turn.merged, 3);
+        let turn = session.turn(later, 100);
+        assert!(matches!(turn.items[..], [Item::Driving(false), Item::Frame(_)]), "{turn:?}");
+        // No more than a frame may hold.
+        for t_ns in 0..4 {
+            session.post(frame(now, vec![completed(t_ns as u32); 2]));
+        }
+        assert_eq!(messages(&session.turn(later, 5)).len(), 4);
+    }
+
+    #[test]
+    fn sessions_take_turns_whatever_they_send() {
+        let thread = Arc::new(Thread::new(Gauge::default()));
+        let (greedy, modest, now) = (session(1, &thread), session(2, &thread), crate::clock::now());
+        for _ in 0..100 {
+            greedy.post(frame(now, vec![view(0)]));
+        }
+        modest.post(frame(now, vec![view(0)]));
+        let mut order = Vec::new();
+        for _ in 0..3 {
+            let Next::Session(next) = thread.next(Some(now)) else { panic!("a session waits") };
+            order.push(next.number);
+            next.turn(now, 100);
+        }
+        assert_eq!(order, [1, 2, 1]);
+        greedy.close();
+        assert!(!greedy.post(frame(now, Vec::new())));
+    }
+
+    #[tokio::test]
+    async fn a_full_mailbox_holds_its_own_connection_back() {
+        let thread = Arc::new(Thread::new(Gauge::default()));
+        let session = session(1, &thread);
+        let first = session.room(6000).await.expect("room");
+        assert!(session.room_now(6000).is_none());
+        drop(first);
+        // What is larger than the room takes all of it.
+        let all = session.room(1 << 30).await.expect("room");
+        assert!(session.room_now(1).is_none());
+        drop(all);
+        session.close();
+        assert!(session.room(1).await.is_none());
     }
 }

@@ -8,6 +8,7 @@
 use super::access::Client;
 use super::host::Host;
 use super::mailbox::{Frame, Handle, Item};
+use super::metrics::SessionMetrics;
 use super::outgoing::{Closed, Outgoing};
 use super::rate::Rate;
 use crate::clock;
@@ -106,7 +107,7 @@ fn read(host: &Host, headers: &HeaderMap, body: &[u8]) -> Result<Vec<ClientMessa
     let encoding = encoding(headers)?;
     host.metrics.frames.inc();
     host.metrics.frame_bytes.inc_by(body.len() as u64);
-    encoding.read::<ClientMessage>(body).map_err(|error| {
+    encoding.read_at_most::<ClientMessage>(body, host.config.message_bytes_max.length()).map_err(|error| {
         host.metrics.frames_malformed.inc();
         Problem::new(StatusCode::BAD_REQUEST, error.to_string())
     })
@@ -284,9 +285,10 @@ pub(super) async fn events(
     });
     session.post(Item::Present { outgoing: events.outgoing.clone() });
     let keep_alive = KeepAlive::new().interval(host.config.ping_every.0);
-    let mut response = Sse::new(stream(Reader { session, events, number, missed, ended: false }))
-        .keep_alive(keep_alive)
-        .into_response();
+    let mut response =
+        Sse::new(stream(Reader { metrics: host.metrics.clone(), session, events, number, missed, ended: false }))
+            .keep_alive(keep_alive)
+            .into_response();
     // Proxies are not to gather events.
     response.headers_mut().insert("x-accel-buffering", HeaderValue::from_static("no"));
     Ok(response)
@@ -294,6 +296,7 @@ pub(super) async fn events(
 
 /// Somebody who reads events.
 struct Reader {
+    metrics: SessionMetrics,
     session: Arc<Handle>,
     events: Arc<Events>,
     number: u64,
@@ -324,6 +327,10 @@ impl Reader {
             _ = readers.wait_for(|readers| *readers != self.number) => return None,
             batch = self.events.outgoing.next() => batch,
         };
+        let now = clock::now();
+        for received in batch.answered {
+            self.metrics.view_to_decision.observe(now.saturating_duration_since(received).as_secs_f64());
+        }
         let mut messages = batch.messages;
         let Some(closed) = batch.closed else {
             return Some(self.keep(&messages));

@@ -14,30 +14,38 @@ const ANSWERING: Duration = Duration::from_secs(30);
 pub(crate) struct Server {
     pub(crate) child: Child,
     pub(crate) port: u16,
+    log: tempfile::NamedTempFile,
 }
 
 impl Server {
     /// Serves a world under the name `w`, with further options.
     pub(crate) fn start(world: &str, options: &[&str]) -> Server {
+        let log = tempfile::NamedTempFile::new().expect("a temporary file");
         let mut child = Command::new(env!("CARGO_BIN_EXE_foresight-server"))
             .args(["serve", "--listen", "127.0.0.1:0", "--world"])
             .arg(format!("w={world}"))
             .args(options)
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
+            .stderr(log.reopen().expect("the same file"))
             .spawn()
             .expect("the server starts");
         let mut line = String::new();
         BufReader::new(child.stdout.take().expect("standard output is piped")).read_line(&mut line).expect("a line");
         let port = line.trim().strip_prefix("listening on http://127.0.0.1:").and_then(|port| port.parse().ok());
         let port = port.unwrap_or_else(|| panic!("{line:?}"));
-        Server { child, port }
+        Server { child, port, log }
     }
 
     /// Serves a folder with [`write_world`] in it.
     pub(crate) fn with_files(folder: &Path) -> Server {
         write_world(folder);
         Server::start(folder.to_str().expect("a path in UTF-8"), &[])
+    }
+
+    /// What it has written to standard error.
+    pub(crate) fn log(&self) -> String {
+        std::fs::read_to_string(self.log.path()).expect("the log can be read")
     }
 
     pub(crate) fn url(&self, path: &str) -> String {
