@@ -1,11 +1,12 @@
 //! What the real server and the real client make of faults: a dead link, spoiled contents, clients and servers that vanish,
-//! sockets that break, clocks that jump.
+//! sockets that break, clocks that jump, databases that fail.
 //!
 //! Each flight is judged by the client's own log of events. Figures are printed; run with `--nocapture` to see them.
 
 mod faults {
     pub(super) mod clocks;
     pub(super) mod contents;
+    pub(super) mod database;
     pub(super) mod link;
     pub(super) mod vanished;
 }
