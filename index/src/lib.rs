@@ -13,6 +13,8 @@ pub mod import;
 pub mod manifest;
 #[cfg(feature = "cityjson")]
 mod mesh;
+pub mod octree;
+pub mod orthoview;
 #[cfg(feature = "runs")]
 pub mod runs;
 pub mod specification;
