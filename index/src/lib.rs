@@ -3,7 +3,7 @@
 //! [`world::open`] takes whatever is recognised; [`world::World`] is what everything else works on. The crate decides
 //! nothing about what to fetch and knows no clock.
 
-#[cfg(any(feature = "cityjson", feature = "terrain", feature = "asteroids"))]
+#[cfg(any(feature = "cityjson", feature = "terrain", feature = "asteroids", feature = "orthoviews"))]
 pub mod format;
 pub mod generate;
 pub mod geodesy;
@@ -13,7 +13,9 @@ pub mod import;
 pub mod manifest;
 #[cfg(feature = "cityjson")]
 mod mesh;
+#[cfg(feature = "orthoviews")]
 pub mod octree;
+#[cfg(feature = "orthoviews")]
 pub mod orthoview;
 #[cfg(feature = "runs")]
 pub mod runs;

@@ -10,6 +10,7 @@ pub mod connectivity;
 pub mod direction;
 pub mod image;
 pub mod raster;
+pub mod texture;
 
 pub use direction::Direction;
 pub use image::{Lattice, Orthoview, Pixel, Rect};
