@@ -1,1 +1,5 @@
 //! Serves worlds over HTTP and hosts schedulers for the clients that fly through them.
+
+pub mod clock;
+pub mod http;
+pub mod serve;

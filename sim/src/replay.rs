@@ -263,7 +263,7 @@ impl Replay<'_> {
                 self.discard(doomed);
             }
             self.held += self.stage.tree.decoded_bytes(rep);
-            self.pipeline.arrived(self.stage.tree, rep, at);
+            self.pipeline.arrived(rep, self.stage.tree.decoded_bytes(rep), at);
         }
         self.arrivals = arrivals;
         self.respond(now)
@@ -334,7 +334,7 @@ impl Replay<'_> {
             let ready = |rep: RepId| {
                 tree.prerequisite(rep).is_none_or(|p| matches!(state.status(p), Status::Resident | Status::Doomed))
             };
-            self.pipeline.upload(tree, now, ready, |rep| completed.push(rep));
+            self.pipeline.upload(now, ready, |rep| completed.push(rep));
             for &rep in &completed {
                 self.scheduler.completed(rep, now)?;
                 self.held -= tree.wire_bytes(rep);

@@ -165,7 +165,7 @@ impl Drive<'_> {
             self.respond(at)?;
             if let Some(rep) = self.transfers.remove(&id) {
                 self.scheduler.arrived(rep, at)?;
-                self.pipeline.arrived(self.tree, rep, at);
+                self.pipeline.arrived(rep, self.tree.decoded_bytes(rep), at);
             }
         }
         self.respond(now)?;
@@ -176,7 +176,7 @@ impl Drive<'_> {
             let ready = |rep: RepId| {
                 tree.prerequisite(rep).is_none_or(|p| matches!(state.status(p), Status::Resident | Status::Doomed))
             };
-            self.pipeline.upload(tree, now, ready, |rep| shown.push(rep));
+            self.pipeline.upload(now, ready, |rep| shown.push(rep));
             if shown.is_empty() {
                 break;
             }

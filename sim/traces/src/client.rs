@@ -1,6 +1,6 @@
 //! The simulated client's own work: decoding on a few workers, uploading within a budget per frame.
 
-use foresight_scheduler::lod_tree::{LodTree, RepId};
+use foresight_scheduler::lod_tree::RepId;
 use foresight_scheduler::units::Time;
 use std::collections::VecDeque;
 
@@ -30,14 +30,22 @@ impl ClientSettings {
     }
 }
 
+#[derive(Clone, Copy, Debug)]
+struct Decoding {
+    rep: RepId,
+    decoded_bytes: u64,
+    /// When it can be uploaded.
+    done: Time,
+}
+
 /// Representations between their last byte and their first frame, in order of arrival.
 #[derive(Clone, Debug)]
 pub struct Pipeline {
     settings: ClientSettings,
     /// When each worker is free.
     workers: Vec<Time>,
-    /// Decoding, with the time when it ends, in order of arrival.
-    decoding: VecDeque<(RepId, Time)>,
+    /// In order of arrival.
+    decoding: VecDeque<Decoding>,
     /// Bytes of the first that were uploaded in earlier ticks.
     uploaded: u64,
 }
@@ -49,9 +57,9 @@ impl Pipeline {
         Pipeline { settings, workers, decoding: VecDeque::new(), uploaded: 0 }
     }
 
-    /// The last byte of `rep` came at `now`.
-    pub fn arrived(&mut self, tree: &LodTree, rep: RepId, now: Time) {
-        let work = Time::from_secs(tree.decoded_bytes(rep) as f64 / self.settings.decode_rate);
+    /// The last byte of `rep`, of this size when decoded, came at `now`.
+    pub fn arrived(&mut self, rep: RepId, decoded_bytes: u64, now: Time) {
+        let work = Time::from_secs(decoded_bytes as f64 / self.settings.decode_rate);
         let mut first = 0;
         for (i, free) in self.workers.iter().enumerate() {
             if *free < self.workers[first] {
@@ -60,17 +68,17 @@ impl Pipeline {
         }
         let done = now.max(self.workers[first]) + work;
         self.workers[first] = done;
-        self.decoding.push_back((rep, done));
+        self.decoding.push_back(Decoding { rep, decoded_bytes, done });
     }
 
     /// What has arrived and cannot be shown yet.
     pub fn waiting(&self) -> impl Iterator<Item = RepId> + '_ {
-        self.decoding.iter().map(|&(rep, _)| rep)
+        self.decoding.iter().map(|d| d.rep)
     }
 
     /// Drops what can be shown no more; the time that it took or takes a worker stays spent. False if it is not here.
     pub fn give_up(&mut self, rep: RepId) -> bool {
-        let Some(place) = self.decoding.iter().position(|&(r, _)| r == rep) else { return false };
+        let Some(place) = self.decoding.iter().position(|d| d.rep == rep) else { return false };
         self.decoding.remove(place);
         if place == 0 {
             self.uploaded = 0;
@@ -80,12 +88,12 @@ impl Pipeline {
 
     /// Uploads within one tick's budget; `ready` says whether a representation's prerequisite can be shown already, and
     /// `shown` is told what can be shown from now on. Uploads are made in order of arrival among those that are ready.
-    pub fn upload(&mut self, tree: &LodTree, now: Time, ready: impl Fn(RepId) -> bool, mut shown: impl FnMut(RepId)) {
+    pub fn upload(&mut self, now: Time, ready: impl Fn(RepId) -> bool, mut shown: impl FnMut(RepId)) {
         let mut budget = self.settings.upload_bytes_per_tick;
-        while let Some(place) = self.decoding.iter().position(|&(rep, done)| done <= now && ready(rep)) {
-            let rep = self.decoding[place].0;
+        while let Some(place) = self.decoding.iter().position(|d| d.done <= now && ready(d.rep)) {
+            let Decoding { rep, decoded_bytes, .. } = self.decoding[place];
             // A partial upload belongs to the one that was first; another only takes its place when it was not ready.
-            let left = tree.decoded_bytes(rep).saturating_sub(if place == 0 { self.uploaded } else { 0 });
+            let left = decoded_bytes.saturating_sub(if place == 0 { self.uploaded } else { 0 });
             if left > budget {
                 if place == 0 {
                     self.uploaded += budget;
@@ -109,23 +117,9 @@ impl Pipeline {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use foresight_scheduler::lod_tree::{Aabb, LodTreeBuilder, Representation};
-    use glam::DVec3;
-
-    fn tree(decoded: &[u32]) -> LodTree {
-        let mut b = LodTreeBuilder::default();
-        b.open().unwrap();
-        for &decoded_bytes in decoded {
-            b.add(Representation { wire_bytes: 1, decoded_bytes, error: 0.0, prerequisite: None, direction: None })
-                .unwrap();
-        }
-        b.close(Some(Aabb { min: DVec3::ZERO, max: DVec3::ONE }), 1.0).unwrap();
-        b.finish().unwrap()
-    }
 
     #[test]
     fn workers_share_the_decoding_and_uploads_are_spread() {
-        let tree = tree(&[1000, 1000, 1000, 2500]);
         let settings = ClientSettings {
             decode_rate: 1000.0,
             decode_workers: 2,
@@ -133,13 +127,13 @@ mod tests {
             ..ClientSettings::default()
         };
         let mut pipeline = Pipeline::new(settings);
-        for rep in 0..4 {
-            pipeline.arrived(&tree, RepId(rep), Time::ZERO);
+        for (rep, decoded_bytes) in [1000, 1000, 1000, 2500].into_iter().enumerate() {
+            pipeline.arrived(RepId(rep as u32), decoded_bytes, Time::ZERO);
         }
         let mut seen = Vec::new();
         for second in 0..8 {
             let now = Time::from_secs(second as f64);
-            pipeline.upload(&tree, now, |_| true, |rep| seen.push((second, rep.0)));
+            pipeline.upload(now, |_| true, |rep| seen.push((second, rep.0)));
         }
         // Two decoded at 1 s, a third at 2 s, the fourth at 1 + 2.5 s; one upload's worth a tick.
         assert_eq!(seen, [(1, 0), (2, 1), (3, 2), (6, 3)]);
@@ -147,12 +141,11 @@ mod tests {
 
     #[test]
     fn what_waits_for_its_prerequisite_lets_others_pass() {
-        let tree = tree(&[10, 10]);
         let mut pipeline = Pipeline::new(ClientSettings::default());
-        pipeline.arrived(&tree, RepId(0), Time::ZERO);
-        pipeline.arrived(&tree, RepId(1), Time::ZERO);
+        pipeline.arrived(RepId(0), 10, Time::ZERO);
+        pipeline.arrived(RepId(1), 10, Time::ZERO);
         let mut seen = Vec::new();
-        pipeline.upload(&tree, Time::from_secs(1.0), |rep| rep != RepId(0), |rep| seen.push(rep));
+        pipeline.upload(Time::from_secs(1.0), |rep| rep != RepId(0), |rep| seen.push(rep));
         assert_eq!(seen, [RepId(1)]);
     }
 }
