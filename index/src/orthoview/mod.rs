@@ -5,6 +5,7 @@
 //! octree's origin. A parent's pixel covers exactly four of its children's, whatever the cells' shapes are, so that
 //! compositing needs no resampling. Leaves are drawn at twice the resolution and brought down by the same rule.
 
+pub mod build;
 pub mod composite;
 pub mod connectivity;
 pub mod direction;

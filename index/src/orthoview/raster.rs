@@ -49,22 +49,33 @@ pub struct Drawn {
     pub degenerate: u64,
 }
 
+impl Drawn {
+    /// Adds the counts of another.
+    pub fn add(&mut self, other: &Drawn) {
+        self.triangles += other.triangles;
+        self.samples += other.samples;
+        self.not_finite += other.not_finite;
+        self.degenerate += other.degenerate;
+    }
+}
+
 /// A leaf's image: its content drawn with twice the resolution and brought down. Only what is inside the leaf is drawn, so
 /// that neighbours share nothing. `None` where nothing is.
 pub fn leaf<'t>(
     octree: &Octree,
     cell: Cell,
     lattice: &Lattice,
-    triangles: impl IntoIterator<Item = &'t Triangle>,
-    surface: &dyn Surface,
+    meshes: impl IntoIterator<Item = (&'t [Triangle], &'t dyn Surface)>,
     drawn: &mut Drawn,
 ) -> Option<Orthoview> {
     let mut view = Orthoview::empty(lattice, &octree.bounds(cell), cell.level);
     let mut double = composite::doubled(&view);
     let side = lattice.pitch * (1u64 << cell.level) as f64;
     let holds = octree.holds(cell, 1e-6 * side);
-    for triangle in triangles {
-        draw(&holds, lattice, 0.5 * side, triangle, surface, &mut double, drawn);
+    for (triangles, surface) in meshes {
+        for triangle in triangles {
+            draw(&holds, lattice, 0.5 * side, triangle, surface, &mut double, drawn);
+        }
     }
     if double.is_empty() {
         return None;
@@ -189,7 +200,13 @@ mod tests {
         let octree = octree(8.0, 8.0);
         let above = lattice(nine()[0], 0.25);
         let mut drawn = Drawn::default();
-        let view = leaf(&octree, octree.root(), &above, &floor(1.0, 2.0, 3.0, 4.0), &Plain([0.5; 3]), &mut drawn);
+        let view = leaf(
+            &octree,
+            octree.root(),
+            &above,
+            [(&floor(1.0, 2.0, 3.0, 4.0)[..], &Plain([0.5; 3]) as &dyn Surface)],
+            &mut drawn,
+        );
         let view = view.expect("something is there");
         // 4 m at 0.25 m, and 32 × 32 samples at twice the resolution: no seam counts twice along the diagonal.
         assert_eq!(view.pixels.iter().filter(|p| p.is_some()).count(), 256);
@@ -200,7 +217,13 @@ mod tests {
             assert_eq!((pixel.colour, pixel.normal), ([0.5; 3], [0.0, 0.0, 1.0]));
         }
         let beneath = lattice(Direction::from_signs([0, 0, -1]).expect("canonical"), 0.25);
-        let back = leaf(&octree, octree.root(), &beneath, &floor(1.0, 2.0, 3.0, 4.0), &Plain([0.5; 3]), &mut drawn);
+        let back = leaf(
+            &octree,
+            octree.root(),
+            &beneath,
+            [(&floor(1.0, 2.0, 3.0, 4.0)[..], &Plain([0.5; 3]) as &dyn Surface)],
+            &mut drawn,
+        );
         assert!(back.is_none(), "a back is not seen");
     }
 
@@ -216,7 +239,9 @@ mod tests {
             let mut double = composite::doubled(&whole);
             let mut drawn = Drawn::default();
             for cell in octree.children(root) {
-                if let Some(view) = leaf(&octree, cell, &lattice, &content, &Plain([0.25; 3]), &mut drawn) {
+                if let Some(view) =
+                    leaf(&octree, cell, &lattice, [(&content[..], &Plain([0.25; 3]) as &dyn Surface)], &mut drawn)
+                {
                     composite::overlay(&mut double, &view);
                 }
             }
@@ -249,7 +274,13 @@ mod tests {
             triangle([[0.0, 0.0, 1.0], [f64::INFINITY, 0.0, 1.0], [0.0, 1.0, 1.0]]),
             triangle([[-1e6, -1e6, 1.0], [1e6, -1e6, 1.0], [0.0, 1e6, 1.0]]),
         ];
-        let view = leaf(&octree, octree.root(), &lattice(nine()[0], 0.5), &bad, &Plain([1.0; 3]), &mut drawn);
+        let view = leaf(
+            &octree,
+            octree.root(),
+            &lattice(nine()[0], 0.5),
+            [(&bad[..], &Plain([1.0; 3]) as &dyn Surface)],
+            &mut drawn,
+        );
         assert_eq!((drawn.triangles, drawn.not_finite, drawn.degenerate), (4, 2, 1));
         assert!(view.expect("the large one covers all").pixels.iter().all(Pixel::is_some));
     }
