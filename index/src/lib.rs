@@ -4,6 +4,9 @@
 //! nothing about what to fetch and knows no clock.
 
 #[cfg(any(feature = "cityjson", feature = "terrain", feature = "asteroids", feature = "orthoviews"))]
+#[cfg(any(feature = "runs", feature = "sessions"))]
+pub mod database;
+#[cfg(any(feature = "cityjson", feature = "terrain", feature = "asteroids"))]
 pub mod format;
 pub mod generate;
 pub mod geodesy;
@@ -19,6 +22,8 @@ pub mod octree;
 pub mod orthoview;
 #[cfg(feature = "runs")]
 pub mod runs;
+#[cfg(feature = "sessions")]
+pub mod sessions;
 pub mod specification;
 #[cfg(feature = "terrain")]
 pub mod terrain;

@@ -2,6 +2,7 @@
 //! when, and asked what to do next.
 
 use crate::benefit::coverage::Refinement;
+use crate::excess::Excess;
 use crate::lod_tree::{LodTree, RepId};
 use crate::policy::Policy;
 use crate::policy::foresight::AlphaReport;
@@ -29,6 +30,20 @@ pub enum Action {
     /// Nothing to do before this time, or before something happens.
     WaitUntil(Time),
 }
+
+/// Why something is fetched.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reason {
+    /// Share of the closure's gain that the predicted paths have, from 0 to 1; the rest is the worst case's. The gain
+    /// is counted before what its discards lose.
+    pub predicted_share: f64,
+    /// When it is expected to be here, by the estimates of the link: after what has been requested before it. The gain
+    /// is counted from about then on; what comes much later gains less than it was chosen for.
+    pub arrival: Time,
+}
+
+/// Cameras of one client at most.
+pub const CAMERAS_MAX: usize = 16;
 
 /// What a scheduler is given once.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -96,6 +111,17 @@ pub enum SchedulerError {
     /// A setting has no meaning.
     #[error(transparent)]
     Setting(#[from] SettingError),
+    /// No camera, or more than [`CAMERAS_MAX`].
+    #[error("{0} cameras were given; expected 1 to {CAMERAS_MAX}")]
+    Cameras(usize),
+    /// A camera that counts for nothing, or for more than a number can say.
+    #[error("the weight of camera {index} is {weight}; expected a number from 1e-9 to 1e9")]
+    CameraWeight {
+        /// Place among the cameras, from 0.
+        index: usize,
+        /// As given.
+        weight: f64,
+    },
     /// An announced path goes back in time.
     #[error("view {index} of the announced path is at {at:?}, after one at {before:?}; expected times in order")]
     PathOrder {
@@ -150,12 +176,17 @@ pub enum SchedulerError {
     },
 }
 
+/// How soon to ask again where only decoding can free memory.
+const TICK: Time = Time(16_666_667);
+
 /// The scheduler: a client's state and a policy.
 pub struct Scheduler<'a> {
     state: ClientState<'a>,
     policy: Box<dyn Policy + 'a>,
     latest: Time,
     waits: bool,
+    reason: Option<Reason>,
+    excess: Excess,
 }
 
 impl<'a> Scheduler<'a> {
@@ -177,6 +208,8 @@ impl<'a> Scheduler<'a> {
             policy,
             latest: Time::ZERO,
             waits: false,
+            reason: None,
+            excess: Excess::default(),
         }
     }
 
@@ -226,8 +259,61 @@ impl<'a> Scheduler<'a> {
         view.check()?;
         self.pass(now)?;
         self.state.view = Some(*view);
+        self.state.cameras.clear();
+        self.state.cameras.push((1.0, *view));
         self.policy.observe(&self.state, view, now);
         Ok(())
+    }
+
+    /// Several cameras with their weights are where they are at `now`: they share the link and the memory, and each
+    /// counts by its share of the sum of the weights. A camera is known again by its place in the list. One camera is
+    /// as [`Scheduler::observe`], whatever its weight. `foresight` and `added-benefit` weigh all cameras; the rivals
+    /// follow the one of the largest weight, the first of equals ([`Policy::observe_cameras`]).
+    pub fn observe_cameras(&mut self, cameras: &[(f64, View)], now: Time) -> Result<(), SchedulerError> {
+        if cameras.is_empty() || cameras.len() > CAMERAS_MAX {
+            return Err(SchedulerError::Cameras(cameras.len()));
+        }
+        let mut largest = 0;
+        for (index, (weight, view)) in cameras.iter().enumerate() {
+            if !(1e-9..=1e9).contains(weight) {
+                return Err(SchedulerError::CameraWeight { index, weight: *weight });
+            }
+            view.check()?;
+            if *weight > cameras[largest].0 {
+                largest = index;
+            }
+        }
+        if let [(_, only)] = cameras {
+            return self.observe(only, now);
+        }
+        self.pass(now)?;
+        let whole: f64 = cameras.iter().map(|(weight, _)| weight).sum();
+        self.state.view = Some(cameras[largest].1);
+        self.state.cameras.clear();
+        self.state.cameras.extend(cameras.iter().map(|&(weight, view)| (weight / whole, view)));
+        self.policy.observe_cameras(&self.state, &self.state.cameras, now);
+        Ok(())
+    }
+
+    /// The client may use so many bytes from now on. Where that is less than it uses, [`Scheduler::next`] answers with
+    /// cancellations and discards until it fits; only what is being decoded, and what that needs first, cannot be
+    /// given up before it is resident, and nothing is fetched until then.
+    pub fn set_budget(&mut self, bytes: u64) {
+        self.state.budget = bytes;
+        self.excess = Excess::default();
+        self.policy.budget_changed(&self.state);
+    }
+
+    /// Another policy decides from now on, about the same client. It learns where the cameras are; what it does not
+    /// learn are the views before and the path announced.
+    pub fn set_policy(&mut self, policy: Box<dyn Policy + 'a>) {
+        self.policy = policy;
+        (self.waits, self.reason) = (false, None);
+        match &self.state.cameras[..] {
+            [] => {}
+            [(_, only)] => self.policy.observe(&self.state, only, self.latest),
+            cameras => self.policy.observe_cameras(&self.state, cameras, self.latest),
+        }
     }
 
     /// Tells where the camera will be: a `flyTo` or a recorded tour, as (time, view) in order.
@@ -290,10 +376,30 @@ impl<'a> Scheduler<'a> {
         Ok(())
     }
 
+    /// The client has let go of `rep` by itself: it has aborted the request or the decoding, or freed what was resident.
+    /// What the request had doomed stays; a doomed one that is freed before its time is no longer waited for. It may be
+    /// asked for again at once: nothing is held against it. What needs it can be shown no more, and has to be reported
+    /// as dropped too, before or after it; until then that counts as there and keeps its memory.
+    pub fn dropped(&mut self, rep: RepId, now: Time) -> Result<(), SchedulerError> {
+        let held = [Status::InFlight, Status::Arrived, Status::Resident, Status::Doomed];
+        self.expect(rep, "dropped", &held)?;
+        self.pass(now)?;
+        match self.state.status(rep) {
+            Status::Resident => self.state.discard(rep),
+            Status::Doomed => self.state.drop_doomed(rep),
+            Status::Absent | Status::InFlight | Status::Arrived => match self.state.end_request(rep, now) {
+                Some(request) => self.state.abandon(&request),
+                None => self.state.drop_arrived(rep),
+            },
+        }
+        self.policy.dropped(&self.state, rep, now);
+        Ok(())
+    }
+
     /// What to do now. Ask again after obeying, until the answer is `WaitUntil`.
     pub fn next(&mut self, now: Time) -> Result<Action, SchedulerError> {
         self.pass(now)?;
-        let action = self.policy.decide(&self.state, now);
+        let (action, is_own) = self.ask(now);
         self.waits = matches!(action, Action::WaitUntil(_));
         match &action {
             Action::Fetch { rep, discard_on_arrival } => {
@@ -315,6 +421,7 @@ impl<'a> Scheduler<'a> {
                     return Err(self.refusal("a fetch", *rep));
                 }
                 self.state.request(*rep, discard_on_arrival.clone(), now);
+                self.reason = self.policy.reason();
             }
             Action::Cancel(rep) => {
                 if self.state.is_needed(*rep) {
@@ -331,7 +438,26 @@ impl<'a> Scheduler<'a> {
             }
             Action::WaitUntil(_) => {}
         }
+        if let (false, Action::Cancel(rep) | Action::Discard(rep)) = (is_own, &action) {
+            self.policy.dropped(&self.state, *rep, now);
+        }
         Ok(action)
+    }
+
+    /// The next action, and whether it is the policy's own.
+    fn ask(&mut self, now: Time) -> (Action, bool) {
+        if self.state.excess_bytes() == 0 {
+            return (self.policy.decide(&self.state, now), true);
+        }
+        match self.policy.make_room(&self.state, now) {
+            Some(action) => (action, true),
+            None => (self.excess.next(&self.state).unwrap_or(Action::WaitUntil(now + TICK)), false),
+        }
+    }
+
+    /// Why the last fetch was chosen, where the policy can say.
+    pub fn reason(&self) -> Option<Reason> {
+        self.reason
     }
 
     /// Why the last answer was to wait; `None` if it was not. Takes time in the size of the world where nothing is
@@ -344,7 +470,7 @@ impl<'a> Scheduler<'a> {
         if state.view.is_none() {
             return Some(Waiting::NoView);
         }
-        if !state.requests().is_empty() {
+        if !state.requests().is_empty() || state.excess_bytes() > 0 {
             return Some(Waiting::Transfers);
         }
         if state.used_bytes() == 0 {

@@ -58,8 +58,10 @@ pub struct ClientState<'a> {
     received_in_flight: u64,
     /// Link estimates.
     pub link: TransferEstimate,
-    /// The latest view.
+    /// The latest view; of several cameras, that of the largest weight.
     pub view: Option<View>,
+    /// Shares and latest views of all cameras; the shares sum to 1.
+    pub(crate) cameras: Vec<(f64, View)>,
 }
 
 impl<'a> ClientState<'a> {
@@ -78,12 +80,18 @@ impl<'a> ClientState<'a> {
             received_in_flight: 0,
             link,
             view: None,
+            cameras: Vec::new(),
         }
     }
 
     /// Where `rep` is.
     pub fn status(&self, rep: RepId) -> Status {
         self.status.get(&rep.0).copied().unwrap_or_default()
+    }
+
+    /// Shares and latest views of all cameras, in the order given; the shares sum to 1. Empty before the first view.
+    pub fn cameras(&self) -> &[(f64, View)] {
+        &self.cameras
     }
 
     /// Everything that can be shown and is not doomed, in order of id.
@@ -109,6 +117,11 @@ impl<'a> ClientState<'a> {
     /// Bytes in use: decoded residents, and for every request or arrival its wire bytes and what is reserved.
     pub fn used_bytes(&self) -> u64 {
         self.used
+    }
+
+    /// Bytes in use beyond the budget, after it has shrunk.
+    pub fn excess_bytes(&self) -> u64 {
+        self.used.saturating_sub(self.budget)
     }
 
     /// Bytes left of the budget.
@@ -236,6 +249,22 @@ impl<'a> ClientState<'a> {
         self.unplan(rep);
     }
 
+    /// A doomed representation is gone before its time: the request that was to hand its memory over needs that much
+    /// itself.
+    pub(crate) fn drop_doomed(&mut self, rep: RepId) {
+        let tree = self.tree;
+        let Some(request) = self.requests.iter_mut().find(|r| r.discard_on_arrival.contains(&rep)) else { return };
+        request.discard_on_arrival.retain(|&doomed| doomed != rep);
+        let handed_over: u64 = request.discard_on_arrival.iter().map(|&d| tree.decoded_bytes(d)).sum();
+        let reserved = tree.wire_bytes(request.rep) + tree.decoded_bytes(request.rep).saturating_sub(handed_over);
+        // Never more than what is freed.
+        self.used = self.used - request.reserved + reserved - tree.decoded_bytes(rep);
+        request.reserved = reserved;
+        self.status.remove(&rep.0);
+        self.resident.remove(tree, rep);
+        self.release_prerequisite(rep);
+    }
+
     /// Puts a representation there from the start (`--warm`).
     pub(crate) fn place(&mut self, rep: RepId) {
         self.used += self.tree.decoded_bytes(rep);
@@ -260,6 +289,7 @@ impl<'a> ClientState<'a> {
             + self.planned.heap_bytes()
             + self.requests.capacity() * size_of::<Request>()
             + waiting * size_of::<RepId>()
+            + self.cameras.capacity() * size_of::<(f64, View)>()
             + self.link.heap_bytes()
     }
 

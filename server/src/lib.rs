@@ -1,5 +1,7 @@
 //! Serves worlds over HTTP and hosts schedulers for the clients that fly through them.
 
 pub mod clock;
+pub mod config;
 pub mod http;
 pub mod serve;
+pub mod session;

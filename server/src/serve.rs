@@ -5,10 +5,13 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use clap::Args;
 
-use crate::http::{self, listener, metrics::Metrics, state::AppState, store::Store, worlds::Worlds};
+use foresight_traces::link;
+use utoipa_axum::router::OpenApiRouter;
+
+use crate::http::{self, limits::Limits, listener, state::AppState, worlds::Worlds};
 
 /// Options of `serve`.
 #[derive(Clone, Debug, Args)]
@@ -24,15 +27,26 @@ pub struct ServeArgs {
     /// Address and port to listen on; port 0 takes a free one
     #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:8080")]
     listen: SocketAddr,
+    /// Link at whose pace each session's responses are sent, such as constant:20Mbit,40ms or a recorded one; as fast as they go
+    /// if not given. Requests that name no session share one link
+    #[arg(long, value_name = "LINK")]
+    link: Option<String>,
 }
+
+/// Sessions that have a link of their own at a time.
+const SESSIONS_MAX: usize = 1000;
 
 /// Serves until the process is told to end by SIGINT or SIGTERM.
 ///
 /// # Errors
 /// A world that cannot be opened, or an address that cannot be listened on.
 pub fn run(arguments: ServeArgs) -> anyhow::Result<()> {
+    if !arguments.listen.ip().is_loopback() {
+        bail!("--listen {}: reachable from other machines; expected a loopback address", arguments.listen);
+    }
     let worlds = Worlds::open(&arguments.worlds)?;
-    let state = Arc::new(AppState { worlds, store: Store::new(256 << 20), metrics: Metrics::default() });
+    let link = arguments.link.as_deref().map(link::parse::from_specification).transpose()?;
+    let state = Arc::new(AppState::new(worlds, link, SESSIONS_MAX, Limits::default(), |_| {}));
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     runtime.block_on(async {
         let listener = tokio::net::TcpListener::bind(arguments.listen)
@@ -43,7 +57,8 @@ pub fn run(arguments: ServeArgs) -> anyhow::Result<()> {
             writeln!(out, "listening on http://{}", listener.local_addr()?)?;
             out.flush()?;
         }
-        listener::serve(listener, http::router(state), stop(), Duration::from_secs(10)).await?;
+        let router = http::router(state.clone(), OpenApiRouter::new());
+        listener::serve(listener, router, state, stop()).await;
         anyhow::Ok(())
     })?;
     runtime.shutdown_timeout(Duration::from_secs(1));

@@ -1,1 +1,17 @@
 //! A client of the sidecar: flies through a world while it streams.
+//!
+//! [`session::fly`] is the client: a camera on a recorded path ([`camera`]), a WebSocket that is opened again when it breaks
+//! ([`connection`]), requests over HTTP ([`fetch`]) or on a modelled link ([`modelled`]), and an account of its memory
+//! ([`residency`]). [`crowd`] flies many at once.
+
+pub mod camera;
+pub mod clock;
+pub mod connection;
+pub mod crowd;
+pub mod events;
+pub mod fetch;
+pub mod modelled;
+pub mod residency;
+pub mod session;
+pub mod statistics;
+pub mod summary;

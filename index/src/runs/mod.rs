@@ -4,8 +4,6 @@
 //! them against the checksum taken when they were written. The interface is synchronous; the asynchronous runtime that
 //! the database library wants lives inside [`RunStore`].
 
-mod connection;
-mod location;
 mod row;
 mod run;
 mod schema;
@@ -13,7 +11,7 @@ mod store;
 
 use std::path::PathBuf;
 
-pub use location::Location;
+pub use crate::database::Location;
 pub use run::{FIGURES, Figure, Input, PolicyResult, Pressure, Run, StoredRun};
 pub use schema::SCHEMA_VERSION;
 pub use store::{Access, Filter, RunStore};
@@ -22,11 +20,8 @@ pub use store::{Access, Filter, RunStore};
 #[derive(Debug, thiserror::Error)]
 pub enum RunStoreError {
     /// Neither a file nor a URL that is known.
-    #[error("run store `{given}`: unknown scheme; expected a file or postgres://USER@HOST/DATABASE")]
-    Scheme {
-        /// As given, without a password.
-        given: String,
-    },
+    #[error("run store {0}")]
+    Location(#[from] crate::database::LocationError),
     /// A PostgreSQL URL, and a program that knows SQLite only.
     #[error("run store {store}: this build has no PostgreSQL; expected one with the feature `runs-postgres`")]
     WithoutPostgres {

@@ -2,22 +2,7 @@
 
 use super::RunStoreError;
 use super::run::{FIGURES, Figure, Input, PolicyResult, Pressure, Run};
-
-/// Type of a column.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Kind {
-    Integer,
-    Real,
-    Text,
-}
-
-/// A value of a column, or its absence.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) enum Value {
-    Integer(Option<i64>),
-    Real(Option<f64>),
-    Text(Option<String>),
-}
+use crate::database::{Kind, Value};
 
 /// Columns of `runs` that [`run_values`] gives, in its order.
 pub(super) const RUN_COLUMNS: [(&str, Kind); 26] = [

@@ -1,9 +1,9 @@
 //! Opening a store, adding runs and reading them.
 
-use super::connection::Connection;
-use super::row::{self, Kind, RUN_COLUMNS, Value};
+use super::row::{self, RUN_COLUMNS};
 use super::run::{Run, StoredRun};
 use super::{Location, RunStoreError, SCHEMA_VERSION, schema};
+use crate::database::{Connection, Failure, Kind, Value};
 use sqlx::ConnectOptions as _;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteSynchronous};
 use std::collections::BTreeMap;
@@ -68,9 +68,9 @@ impl RunStore {
         let mut store = RunStore { runtime, connection: None, name, patience };
         store.connection = Some(match location {
             Location::File(file) => store.open_file(file, access)?,
-            #[cfg(feature = "runs-postgres")]
+            #[cfg(feature = "postgres")]
             Location::Postgres(url) => store.open_postgres(url, access)?,
-            #[cfg(not(feature = "runs-postgres"))]
+            #[cfg(not(feature = "postgres"))]
             Location::Postgres(_) => return Err(RunStoreError::WithoutPostgres { store: store.name.clone() }),
         });
         Ok(store)
@@ -99,7 +99,7 @@ impl RunStore {
         }
         self.check_version(&mut connection, access)?;
         let mut intact = self.connect_file(&self.file_options(Path::new(":memory:")))?;
-        self.runtime.block_on(schema::migrate(&mut intact)).map_err(|source| self.migration(source))?;
+        self.runtime.block_on(schema::MIGRATIONS.apply(&mut intact)).map_err(|source| self.migration(source))?;
         if self.block(schema::definitions(&mut connection))? != self.block(schema::definitions(&mut intact))? {
             return Err(self.damaged(format!("its tables are not those of schema version {SCHEMA_VERSION}")));
         }
@@ -135,7 +135,7 @@ impl RunStore {
         builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
         let beside = builder.prefix(".runs-").suffix(".partial").tempfile_in(folder).map_err(io)?;
         let mut connection = self.connect_file(&self.file_options(beside.path()))?;
-        let migrated = self.runtime.block_on(schema::migrate(&mut connection));
+        let migrated = self.runtime.block_on(schema::MIGRATIONS.apply(&mut connection));
         self.block(connection.close())?;
         migrated.map_err(|source| self.migration(source))?;
         match beside.persist_noclobber(file) {
@@ -144,7 +144,7 @@ impl RunStore {
         }
     }
 
-    #[cfg(feature = "runs-postgres")]
+    #[cfg(feature = "postgres")]
     fn open_postgres(&self, url: &str, access: Access) -> Result<Connection, RunStoreError> {
         let options: sqlx::postgres::PgConnectOptions = url.parse().map_err(|source| self.failure(source))?;
         let millis = self.patience.as_millis().to_string();
@@ -154,11 +154,13 @@ impl RunStore {
         let waited_s = self.patience.as_secs_f64();
         let connected = answer.map_err(|_| RunStoreError::NoAnswer { store: self.name.clone(), waited_s })?;
         let mut connection = Connection::Postgres(connected.map_err(|source| self.failure(source))?);
-        if self.block(schema::version(&mut connection))?.is_none() {
+        if self.block(schema::MIGRATIONS.version(&mut connection))?.is_none() {
             if access == Access::Read {
                 return Err(RunStoreError::Absent { store: self.name.clone() });
             }
-            self.runtime.block_on(schema::migrate(&mut connection)).map_err(|source| self.migration(source))?;
+            self.runtime
+                .block_on(schema::MIGRATIONS.apply(&mut connection))
+                .map_err(|source| self.migration(source))?;
         }
         self.check_version(&mut connection, access)?;
         Ok(connection)
@@ -167,7 +169,7 @@ impl RunStore {
     /// Refuses a schema that is not ours; brings an older one to the present for writing.
     fn check_version(&self, connection: &mut Connection, access: Access) -> Result<(), RunStoreError> {
         let store = || self.name.clone();
-        match self.block(schema::version(connection))? {
+        match self.block(schema::MIGRATIONS.version(connection))? {
             None => Err(RunStoreError::NotARunStore { store: store() }),
             Some(found) if found > SCHEMA_VERSION => {
                 Err(RunStoreError::Newer { store: store(), found, known: SCHEMA_VERSION })
@@ -176,7 +178,7 @@ impl RunStore {
                 Err(RunStoreError::Older { store: store(), found, known: SCHEMA_VERSION })
             }
             Some(found) if found < SCHEMA_VERSION => {
-                self.runtime.block_on(schema::migrate(connection)).map_err(|source| self.migration(source))
+                self.runtime.block_on(schema::MIGRATIONS.apply(connection)).map_err(|source| self.migration(source))
             }
             Some(_) => Ok(()),
         }
@@ -303,21 +305,11 @@ impl RunStore {
     /// What the database says, in our words where we know them.
     fn failure(&self, source: sqlx::Error) -> RunStoreError {
         let store = self.name.clone();
-        let (code, what) = match &source {
-            sqlx::Error::Database(error) => (error.code().unwrap_or_default().into_owned(), error.message().to_owned()),
-            _ => return RunStoreError::Database { store, source },
-        };
-        // SQLite's extended result codes have the primary code in the low byte; PostgreSQL's have five characters.
-        let sqlite = if code.len() < 5 { code.parse::<u32>().ok().map(|c| c & 0xff) } else { None };
-        match (sqlite, code.as_str()) {
-            (Some(5 | 6), _) | (None, "55P03") => {
-                RunStoreError::Locked { store, waited_s: self.patience.as_secs_f64() }
-            }
-            (Some(11 | 26), _) => RunStoreError::Damaged { store, what },
-            (Some(3 | 8 | 13 | 14 | 23), _) | (None, "25006" | "42501" | "53100") => {
-                RunStoreError::ReadOnly { store, what }
-            }
-            _ => RunStoreError::Database { store, source },
+        match Failure::from(source) {
+            Failure::Locked => RunStoreError::Locked { store, waited_s: self.patience.as_secs_f64() },
+            Failure::Damaged(what) => RunStoreError::Damaged { store, what },
+            Failure::ReadOnly(what) | Failure::Full(what) => RunStoreError::ReadOnly { store, what },
+            Failure::Other(source) => RunStoreError::Database { store, source },
         }
     }
 }
@@ -337,7 +329,7 @@ async fn insert(
     mut run: Vec<Value>,
     results: Vec<Vec<Value>>,
 ) -> Result<i64, sqlx::Error> {
-    connection.begin_writing().await?;
+    connection.begin_writing("runs").await?;
     let newest = connection.rows("SELECT coalesce(max(id), 0) FROM runs", &[], &[Kind::Integer]).await?;
     let id = match newest.first().map(Vec::as_slice) {
         Some([Value::Integer(Some(newest))]) => newest + 1,

@@ -13,6 +13,7 @@
 //! with each failure.
 
 mod alpha;
+mod camera;
 mod certified;
 mod closure;
 mod context;
@@ -26,19 +27,18 @@ pub use settings::{ChoiceMethod, Discards, ForesightSettings};
 
 use super::Policy;
 use crate::benefit::coverage::Refinement;
-use crate::benefit::cut::Region;
 use crate::lod_tree::RepId;
-use crate::predict::motion::Motion;
-use crate::predict::{PredictedPath, Predictor};
-use crate::scheduler::Action;
+use crate::predict::Predictor;
+use crate::scheduler::{Action, Reason};
 use crate::select::certified::Certificate;
 use crate::setting::SettingError;
-use crate::state::ClientState;
+use crate::state::{ClientState, Request};
 use crate::units::Time;
 use crate::view::View;
 use alpha::Alpha;
+use camera::{Ahead, Camera, Sampling};
 use certified::CertifiedChoice;
-use context::{Choice, Choose, Context, Lookahead};
+use context::{Choice, Choose, Context, Discarded, Lookahead};
 use retry::Retries;
 use sampled::Sampled;
 use std::collections::VecDeque;
@@ -51,8 +51,8 @@ pub struct Foresight {
     name: String,
     oracle: Option<ArrivalOracle>,
     settings: ForesightSettings,
-    predictor: Box<dyn Predictor>,
-    motion: Motion,
+    /// In the order in which the client names them; the first is there from the start.
+    cameras: Vec<Camera>,
     /// The path that the client has announced: where a path-bound one can go.
     track: Vec<glam::DVec3>,
     /// Made at the first decision, when the client's refinement is known.
@@ -66,6 +66,10 @@ pub struct Foresight {
     covered: bool,
     retries: Retries,
     mean_fetch_bytes: f64,
+    /// Share of the predicted paths in the gain of the closure chosen last.
+    predicted_share: f64,
+    /// Why the last fetch was chosen.
+    reason: Option<Reason>,
 }
 
 impl Foresight {
@@ -90,8 +94,7 @@ impl Foresight {
             name: name.into(),
             oracle: None,
             settings,
-            predictor,
-            motion: Motion::default(),
+            cameras: vec![Camera::new(predictor)],
             track: Vec::new(),
             method: None,
             alpha: Alpha::new(settings.alpha_rule, settings.alpha),
@@ -101,6 +104,8 @@ impl Foresight {
             covered: false,
             retries: Retries::default(),
             mean_fetch_bytes: 0.0,
+            predicted_share: 0.0,
+            reason: None,
         }
     }
 
@@ -122,8 +127,8 @@ impl Foresight {
         }
     }
 
-    /// The paths ahead from `view` at `now`, and what is reachable if they fail.
-    fn look_ahead(&mut self, state: &ClientState, view: View, now: Time) -> Lookahead {
+    /// The paths ahead of the cameras at `now`, and what is reachable if they fail.
+    fn look_ahead(&mut self, state: &ClientState, now: Time) -> Lookahead {
         let s = self.settings;
         let typical = state.link.latency_s() + self.mean_fetch_bytes / state.link.rate();
         let epsilon = s.reuse_s.max(typical);
@@ -131,30 +136,28 @@ impl Foresight {
         let n = s.samples.max(1);
         let bounds: Vec<f64> = (0..=n).map(|i| delta * i as f64 / n as f64).collect();
         let middles: Vec<f64> = bounds.windows(2).map(|w| 0.5 * (w[0] + w[1])).collect();
-        let mut paths = self.predictor.predict(now, &middles);
-        if paths.is_empty() {
-            paths.push(PredictedPath { weight: 1.0, views: vec![view; n] });
-        }
-        // A predictor of one's own may go astray.
-        for astray in paths.iter_mut().flat_map(|path| &mut path.views).filter(|view| view.check().is_err()) {
-            *astray = view;
-        }
-        let (tree, plan, speeds) = (state.tree, state.planned(), self.motion.percentile());
-        let (region, worst_views) = worst::sampled(&s, tree, plan, &view, speeds, epsilon, &self.track);
-        let worst: Vec<_> = match &worst_views {
-            None => vec![(1.0, view, region)],
-            Some(views) => views.iter().map(|&(weight, view)| (weight, view, Region::Frustum)).collect(),
-        };
+        let sampling = Sampling { settings: &s, now, middles: &middles, epsilon, track: &self.track };
+        let Ahead { paths, worst } = camera::look_ahead(&self.cameras, state, &sampling);
         let (cut, attenuation) = (&s.cut, s.attenuation);
         let prospect = alpha::Sampled { now, paths: &paths, offsets: &middles, worst: &worst, cut, attenuation };
         let alpha = self.alpha.at(state, &prospect);
         let anew = self.sampled.is_none();
-        Lookahead { alpha, anew, paths, bounds, view, region, worst_views }
+        Lookahead { alpha, anew, cameras: self.cameras.len(), paths, bounds, worst }
+    }
+
+    /// Samples the time ahead.
+    fn sample(&mut self, method: &mut dyn Choose, state: &ClientState, now: Time) {
+        let ahead = self.look_ahead(state, now);
+        self.sampled = Some(now);
+        self.queued_bytes = state.outstanding_bytes();
+        method.sample(&self.context(state, true), &ahead);
     }
 
     fn decide_with(&mut self, method: &mut dyn Choose, state: &ClientState, now: Time) -> Action {
         let wait = Action::WaitUntil(now + Time::from_secs(1.0 / 60.0));
-        let Some(view) = state.view else { return wait };
+        if state.view.is_none() {
+            return wait;
+        }
         if let Some(action) = self.committed.pop_front() {
             return action;
         }
@@ -163,11 +166,8 @@ impl Foresight {
             && state.outstanding_bytes() as f64 >= link.rate() * (link.latency_s() + self.settings.slack_s);
         let due = self.sampled.is_none_or(|t| now.since(t).secs() >= self.settings.reuse_s);
         if due {
-            let ahead = self.look_ahead(state, view, now);
-            self.sampled = Some(now);
-            self.queued_bytes = state.outstanding_bytes();
+            self.sample(method, state, now);
             let cx = self.context(state, due);
-            method.sample(&cx, &ahead);
             if let Some(rep) = method.pointless_request(&cx) {
                 // What the request had doomed stays: read the plan anew.
                 method.forget();
@@ -182,6 +182,7 @@ impl Foresight {
         let cx = self.context(state, due);
         if self.settings.cover_first && !self.covered {
             if let Some(rep) = method.cover(&cx) {
+                self.predicted_share = 1.0;
                 return Action::Fetch { rep, discard_on_arrival: Vec::new() };
             }
             self.covered = true;
@@ -193,6 +194,7 @@ impl Foresight {
     /// Turns a choice into actions: discards wait for the arrival where memory allows.
     fn commit(&mut self, state: &ClientState, choice: Choice) -> Action {
         let tree = state.tree;
+        self.predicted_share = choice.predicted_share;
         let mut discards = choice.discards;
         if let [only] = choice.members[..] {
             let handed_over: u64 = discards.iter().map(|&d| tree.decoded_bytes(d)).sum();
@@ -208,49 +210,141 @@ impl Foresight {
     }
 }
 
-impl Policy for Foresight {
-    fn name(&self) -> &str {
-        &self.name
-    }
-
-    fn observe(&mut self, state: &ClientState, view: &View, now: Time) {
-        self.alpha.observe(state.tree, view, now);
-        if self.motion.observe(view, now) {
-            // A teleport: nothing sampled before it holds.
-            self.sampled = None;
-            self.covered = false;
-        }
-        self.predictor.observe(view, now);
-        if let Some(method) = &mut self.method {
-            method.observed();
-        }
-    }
-
-    fn decide(&mut self, state: &ClientState, now: Time) -> Action {
-        let mut method = self.method.take().unwrap_or_else(|| {
+impl Foresight {
+    /// Made at the first decision, when the client's refinement is known.
+    fn take_method(&mut self, state: &ClientState) -> Box<dyn Choose> {
+        self.method.take().unwrap_or_else(|| {
             // Branch and bound knows closures by prerequisites, not by sibling groups.
             let bounded = state.planned().refinement() == Refinement::Partial;
             match self.settings.choice {
                 ChoiceMethod::Certified if bounded => Box::new(CertifiedChoice::default()),
                 _ => Box::new(Sampled::default()),
             }
-        });
-        let action = self.decide_with(&mut *method, state, now);
+        })
+    }
+
+    /// The plan follows what the client is about to do.
+    fn obeyed(&mut self, method: &mut dyn Choose, state: &ClientState, action: &Action, now: Time) {
         let cx = self.context(state, false);
-        match &action {
+        match action {
             Action::Fetch { rep, discard_on_arrival } => {
                 for &doomed in discard_on_arrival {
                     method.removed(&cx, doomed);
                 }
                 method.added(&cx, *rep);
-                let bytes = state.tree.wire_bytes(*rep) as f64;
-                self.mean_fetch_bytes += 0.1 * (bytes - self.mean_fetch_bytes);
+                let wire = state.tree.wire_bytes(*rep);
+                self.mean_fetch_bytes += 0.1 * (wire as f64 - self.mean_fetch_bytes);
+                let bytes = state.outstanding_bytes() + wire;
+                let seconds = match &self.oracle {
+                    Some(oracle) => oracle(now, bytes),
+                    None => state.link.latency_s() + bytes as f64 / state.link.rate(),
+                };
+                let arrival = now + Time::from_secs(seconds);
+                self.reason = Some(Reason { predicted_share: self.predicted_share, arrival });
             }
             Action::Discard(rep) => method.removed(&cx, *rep),
             Action::Cancel(_) | Action::WaitUntil(_) => {}
         }
+    }
+
+    /// The plan has changed without this policy.
+    fn read_anew(&mut self) {
+        if let Some(method) = &mut self.method {
+            method.forget();
+        }
+        self.sampled = None;
+        self.committed.clear();
+    }
+
+    /// What goes while more memory is in use than the budget allows: residents by least loss per byte, and a request
+    /// before them if it would lose less per byte of its own, or if the residents alone are too little.
+    fn next_to_go(&mut self, method: &mut dyn Choose, state: &ClientState, now: Time) -> Option<Action> {
+        if let Some(action) = self.committed.pop_front() {
+            return Some(action);
+        }
+        if self.sampled.is_none() {
+            self.sample(method, state, now);
+        }
+        let cx = self.context(state, false);
+        let bytes = state.excess_bytes();
+        let resident: u64 = state.residents().map(|rep| state.tree.decoded_bytes(rep)).sum();
+        let Discarded { reps, loss } = method.make_room(&cx, bytes);
+        let freed: u64 = reps.iter().map(|&rep| state.tree.decoded_bytes(rep)).sum();
+        let is_enough = resident >= bytes && freed > 0;
+        let requests = state.requests().iter().filter(|r| !state.is_needed(r.rep));
+        let mut per_byte = |r: &Request| method.loss(&cx, r.rep) / state.request_bytes(r.rep).max(1) as f64;
+        let least = requests.map(|r| (per_byte(r), r.rep)).min_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1)));
+        if let Some((loss_per_byte, rep)) = least
+            && (!is_enough || loss_per_byte < loss / freed as f64)
+        {
+            // What the request had doomed stays: read the plan anew.
+            method.forget();
+            self.sampled = None;
+            return Some(Action::Cancel(rep));
+        }
+        self.committed.extend(reps.into_iter().map(Action::Discard));
+        self.committed.pop_front()
+    }
+}
+
+impl Policy for Foresight {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn observe(&mut self, state: &ClientState, view: &View, now: Time) {
+        self.observe_cameras(state, &[(1.0, *view)], now);
+    }
+
+    fn observe_cameras(&mut self, state: &ClientState, cameras: &[(f64, View)], now: Time) {
+        self.alpha.observe(state.tree, cameras, now);
+        let mut is_new = self.cameras.len() != cameras.len();
+        let kind = self.settings.predictor;
+        self.cameras.resize_with(cameras.len(), || Camera::new(kind.build()));
+        for (camera, (share, view)) in self.cameras.iter_mut().zip(cameras) {
+            is_new |= camera.observe(*share, view, now);
+        }
+        if is_new {
+            // A teleport, or other cameras: nothing sampled before it holds.
+            self.sampled = None;
+            self.covered = false;
+        }
+        if let Some(method) = &mut self.method {
+            method.observed();
+        }
+    }
+
+    fn decide(&mut self, state: &ClientState, now: Time) -> Action {
+        let mut method = self.take_method(state);
+        let action = self.decide_with(&mut *method, state, now);
+        self.obeyed(&mut *method, state, &action, now);
         self.method = Some(method);
         action
+    }
+
+    fn make_room(&mut self, state: &ClientState, now: Time) -> Option<Action> {
+        state.view?;
+        let mut method = self.take_method(state);
+        let action = self.next_to_go(&mut *method, state, now);
+        if let Some(action) = &action {
+            self.obeyed(&mut *method, state, action, now);
+        }
+        self.method = Some(method);
+        action
+    }
+
+    fn dropped(&mut self, state: &ClientState, _rep: RepId, _now: Time) {
+        self.read_anew();
+        // A client that has lost everything is given something first, as at the start.
+        self.covered &= state.planned().iter().next().is_some();
+    }
+
+    fn budget_changed(&mut self, _state: &ClientState) {
+        self.read_anew();
+    }
+
+    fn reason(&self) -> Option<Reason> {
+        self.reason
     }
 
     fn completed(&mut self, _state: &ClientState, rep: RepId, _now: Time) {
@@ -259,11 +353,7 @@ impl Policy for Foresight {
 
     fn failed(&mut self, _state: &ClientState, rep: RepId, now: Time) {
         self.retries.failed(rep, now);
-        if let Some(method) = &mut self.method {
-            method.forget();
-        }
-        self.sampled = None;
-        self.committed.clear();
+        self.read_anew();
     }
 
     fn alpha(&self) -> Option<AlphaReport> {
@@ -272,7 +362,8 @@ impl Policy for Foresight {
 
     fn announce_path(&mut self, path: &[(Time, View)]) {
         worst::extend_track(&mut self.track, path);
-        if self.predictor.announce_path(path) {
+        // The first camera's.
+        if self.cameras.first_mut().is_some_and(|camera| camera.announce_path(path)) {
             self.sampled = None;
         }
     }

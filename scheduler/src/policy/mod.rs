@@ -115,7 +115,7 @@ rivals! {
 }
 
 use crate::lod_tree::{LodTree, RepId};
-use crate::scheduler::Action;
+use crate::scheduler::{Action, Reason};
 use crate::select::certified::Certificate;
 use crate::setting::{SettingError, within};
 use crate::state::ClientState;
@@ -130,6 +130,14 @@ pub trait Policy: Send {
     /// The camera moved. Called at every tick, before [`Policy::decide`].
     fn observe(&mut self, state: &ClientState, view: &View, now: Time);
 
+    /// Several cameras share link and memory: their shares, which sum to 1, and their views, two or more. A policy that
+    /// does not know how to weigh them follows the camera of the largest share, the first of equals.
+    fn observe_cameras(&mut self, state: &ClientState, _cameras: &[(f64, View)], now: Time) {
+        if let Some(view) = &state.view {
+            self.observe(state, view, now);
+        }
+    }
+
     /// One thing to do. Asked again at once until it answers [`Action::WaitUntil`].
     fn decide(&mut self, state: &ClientState, now: Time) -> Action;
 
@@ -138,6 +146,24 @@ pub trait Policy: Send {
 
     /// A request or its decoding failed.
     fn failed(&mut self, _state: &ClientState, _rep: RepId, _now: Time) {}
+
+    /// The client has let go of `rep` by itself: it was resident, or its request or arrival is over. What it was to hand
+    /// its memory to, and what its own request had doomed, is corrected in `state`. Nothing failed.
+    fn dropped(&mut self, _state: &ClientState, _rep: RepId, _now: Time) {}
+
+    /// The memory budget has become another.
+    fn budget_changed(&mut self, _state: &ClientState) {}
+
+    /// More memory is in use than the budget allows: what to cancel or discard next. Asked instead of
+    /// [`Policy::decide`] until it fits. With `None` the scheduler chooses, and tells the policy by [`Policy::dropped`].
+    fn make_room(&mut self, _state: &ClientState, _now: Time) -> Option<Action> {
+        None
+    }
+
+    /// Why the last fetch was chosen, by a policy that can say.
+    fn reason(&self) -> Option<Reason> {
+        None
+    }
 
     /// What became of α, for a policy that has one.
     fn alpha(&self) -> Option<foresight::AlphaReport> {

@@ -36,6 +36,8 @@ struct Term {
     cut: Cut,
     /// The nodes of the cut's patches once more: searches touch nothing else.
     nodes: Vec<NodeId>,
+    /// Whether it stands for a present view.
+    is_present: bool,
 }
 
 impl Term {
@@ -66,8 +68,9 @@ pub struct HorizonSettings {
 pub enum Worst<'a> {
     /// Everything in the region reachable from the view, as one cut.
     Union(&'a View, Region),
-    /// Single reachable views, the worst ones; their weights sum to 1.
-    Views(&'a [(f64, View)]),
+    /// Several regions, each from its view, with weights that sum to 1: those of several cameras, or single reachable
+    /// views, the worst ones.
+    Several(&'a [(f64, View, Region)]),
 }
 
 impl<'a> From<(&'a View, Region)> for Worst<'a> {
@@ -86,6 +89,8 @@ pub struct Horizon {
     opened: Vec<Patch>,
     /// Number of patches over all terms.
     patches: usize,
+    /// As many paths, from the first on, stand for present views; at least one does.
+    pub(crate) cameras: usize,
 }
 
 /// Where a rep stands at a patch: the least errors of what is planned.
@@ -115,13 +120,14 @@ impl Horizon {
             bounds.windows(2).map(|w| (w[1] - w[0]) * libm::exp(-settings.attenuation * 0.5 * (w[0] + w[1]))).collect();
         let whole: f64 = att.iter().sum();
         if settings.alpha > 0.0 && whole > 0.0 {
-            for path in paths {
+            for (which, path) in paths.iter().enumerate() {
                 for (i, view) in path.views.iter().enumerate().take(att.len()) {
                     let mut cut = self.spare.pop().unwrap_or_default();
                     cut.make(tree, view, Region::Frustum, &settings.cut);
                     let span = Span::Interval { from: bounds[i], to: bounds[i + 1] };
                     let factor = settings.alpha * path.weight * att[i] / whole;
-                    self.add(tree, planned, cut, span, factor, settings);
+                    let is_present = i == 0 && which < self.cameras;
+                    self.add(tree, planned, cut, span, factor, settings, is_present);
                 }
             }
         }
@@ -129,19 +135,18 @@ impl Horizon {
             let worst = worst.into();
             let views = match worst {
                 Worst::Union(view, region) => &[(1.0, *view, region)][..],
-                Worst::Views(views) => {
-                    &views.iter().map(|(weight, view)| (*weight, *view, Region::Frustum)).collect::<Vec<_>>()
-                }
+                Worst::Several(views) => views,
             };
             for (weight, view, region) in views {
                 let mut cut = self.spare.pop().unwrap_or_default();
                 union_cut(&mut cut, tree, view, *region, &settings.cut);
-                self.add(tree, planned, cut, Span::Always, (1.0 - settings.alpha) * weight, settings);
+                self.add(tree, planned, cut, Span::Always, (1.0 - settings.alpha) * weight, settings, false);
             }
         }
         self.patches = self.terms.iter().map(|t| t.cut.patches.len()).sum();
     }
 
+    #[expect(clippy::too_many_arguments, reason = "one term; grouping the inputs would only rename them")]
     fn add(
         &mut self,
         tree: &LodTree,
@@ -150,6 +155,7 @@ impl Horizon {
         span: Span,
         factor: f64,
         settings: &HorizonSettings,
+        is_present: bool,
     ) {
         let scale = factor * cut.scale;
         // The tolerance is on the objective: a term of little weight need not be opened far.
@@ -162,7 +168,8 @@ impl Horizon {
         }
         core::mem::swap(&mut cut.patches, &mut self.opened);
         let nodes = cut.patches.iter().map(|p| p.node).collect();
-        self.terms.push(Term { span, cut, nodes });
+        let is_present = is_present || self.terms.is_empty();
+        self.terms.push(Term { span, cut, nodes, is_present });
     }
 
     /// Patches over all terms: what an evaluation costs.
@@ -250,8 +257,8 @@ impl Horizon {
         self.benefit_beneath(tree, planned, tree.root(), 0.0)
     }
 
-    /// Visits every patch with the chain above it: `visit(patch, share after offset, chain, is of the first
-    /// term)`; the first term, the nearest sampled view, stands for the present one.
+    /// Visits every patch with the chain above it: `visit(patch, share after offset, chain, is of a present view)`; the
+    /// nearest sampled view of the first path, or of each camera's first, stands for the present one.
     pub fn for_each(
         &self,
         tree: &LodTree,
@@ -260,13 +267,13 @@ impl Horizon {
         mut visit: impl FnMut(&Patch, f64, Chain, bool),
     ) {
         let mut sweep = planned.sweep(tree, tree.root());
-        for (i, term) in self.terms.iter().enumerate() {
+        for term in &self.terms {
             let share = term.span.after(offset);
             sweep.restart();
             for patch in &term.cut.patches {
                 let (owner, best, _) = sweep.shown_at(patch.node);
                 let chain = Chain { owner, best };
-                visit(patch, share, chain, i == 0);
+                visit(patch, share, chain, term.is_present);
             }
         }
     }

@@ -12,6 +12,7 @@ use quick_cache::{Weighter, sync::Cache};
 use super::body::Source;
 use super::encoding::Coding;
 use super::media;
+use super::priority::{Place, Turns};
 use super::worlds::Files;
 
 /// Largest file that is kept in memory, bytes.
@@ -78,11 +79,15 @@ impl Store {
         key: Key,
         plain: &str,
         coding: Option<Coding>,
+        turns: &Arc<Turns>,
+        place: Place,
     ) -> std::io::Result<Arc<Stored>> {
         let media_type = media::of(plain);
         let name = key.name.clone();
+        let turn = turns.turn(place).await;
         let read = tokio::task::spawn_blocking(move || read(files, &name, media_type, coding));
         let stored = Arc::new(read.await.map_err(std::io::Error::other)??);
+        drop(turn);
         if matches!(stored.source, Source::Memory(_)) {
             self.kept.insert(key, stored.clone());
         }

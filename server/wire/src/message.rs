@@ -5,6 +5,7 @@
 //! server knows it. Representations go by their number in the world. The server reads a frame whole, lets the scheduler
 //! observe the last view in it, and answers with what to do.
 
+use crate::finite;
 use serde::{Deserialize, Serialize};
 
 /// Version of the messages. Raised when a field changes its meaning or goes away; a `hello` of another is refused.
@@ -63,7 +64,8 @@ pub struct Hello {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub resume: Option<String>,
     /// What the client holds and can show: at the start, and after a break of the connection. Requests that were under way
-    /// when the connection broke and are not repeated as `arrived` are over.
+    /// when the connection broke are over unless the first frame after the `hello` says of them that they have `responded`,
+    /// `arrived` or `completed`, be it once more.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub resident: Vec<u32>,
     /// What the client is or where: link estimates are kept under it, for the next session.
@@ -107,8 +109,10 @@ pub enum Mode {
 #[serde(deny_unknown_fields)]
 pub struct LinkGuess {
     /// Bytes per second.
+    #[serde(deserialize_with = "finite::number")]
     pub rate: f64,
     /// Seconds.
+    #[serde(deserialize_with = "finite::number")]
     pub latency_s: f64,
 }
 
@@ -129,15 +133,18 @@ pub struct Views {
 #[serde(deny_unknown_fields)]
 pub struct Camera {
     /// In the world, metres.
+    #[serde(deserialize_with = "finite::numbers")]
     pub position: [f64; 3],
     /// x, y, z, w of the unit quaternion that turns a camera looking along −z with +y up into the world.
+    #[serde(deserialize_with = "finite::numbers")]
     pub orientation: [f64; 4],
     /// Vertical field of view, radians.
+    #[serde(deserialize_with = "finite::number")]
     pub fov_y: f64,
     /// Width and height, pixels.
     pub viewport: [u32; 2],
     /// How much it counts among several; 1 if absent.
-    #[serde(default = "one", skip_serializing_if = "is_one")]
+    #[serde(default = "one", skip_serializing_if = "is_one", deserialize_with = "finite::number")]
     pub weight: f64,
 }
 
@@ -231,12 +238,12 @@ pub enum ServerMessage {
     Welcome(Box<Welcome>),
     /// Request this.
     Fetch(Fetch),
-    /// Abort this request.
+    /// Abort this request; what has arrived of it meanwhile, or all of it, is freed. No event is expected of it.
     Cancel {
         /// Which.
         rep: u32,
     },
-    /// Free this.
+    /// Free this, if it is held.
     Discard {
         /// Which.
         rep: u32,
@@ -300,9 +307,11 @@ pub struct Fetch {
     pub wire_bytes: u64,
     /// Bytes of memory when decoded.
     pub decoded_bytes: u64,
-    /// Urgency as in RFC 9218: 0 is the most urgent.
+    /// Urgency as in RFC 9218, 0 the most urgent. In view now: 0 where nothing is shown yet, 1 where something better
+    /// comes, 2 if it is mostly for the worst case; not in view: from 3, all for the predicted path, to 7, all for the worst
+    /// case.
     pub urgency: u8,
-    /// When it should be there to be worth what it was chosen for, ns.
+    /// When it should be there to be worth what it was chosen for, ns: the arrival that the choice counted on.
     pub deadline_ns: u64,
     /// Share of its gain that the predicted path has; the rest is the worst case's. Absent where the policy cannot say.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -163,20 +163,7 @@ fn memory(text: &str) -> Result<Memory, String> {
         let mu = mu.parse::<f64>().ok().filter(|mu| *mu > 0.0 && *mu <= 1e6).ok_or_else(expected)?;
         return Ok(Memory::OfLargestNeed(mu));
     }
-    let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
-    let unit = match &text[digits.len()..] {
-        "" | "B" => 1.0,
-        "kB" | "KB" => 1e3,
-        "MB" => 1e6,
-        "GB" => 1e9,
-        "KiB" => 1024.0,
-        "MiB" => 1_048_576.0,
-        "GiB" => 1_073_741_824.0,
-        _ => return Err(expected()),
-    };
-    let bytes =
-        digits.parse::<f64>().ok().map(|n| n * unit).filter(|b| *b >= 1.0 && *b <= 1e15).ok_or_else(expected)?;
-    Ok(Memory::Bytes(bytes as u64))
+    Ok(Memory::Bytes(arguments::bytes(text).map_err(|_| expected())?))
 }
 
 fn seconds(text: &str) -> Result<f64, String> {

@@ -161,6 +161,27 @@ pub fn world_named(name: &str) -> anyhow::Result<World> {
     Ok(world?)
 }
 
+/// An amount of memory: bytes, or with a unit of 1000 (`kB`, `MB`, `GB`) or 1024 (`KiB`, `MiB`, `GiB`).
+///
+/// # Errors
+/// What is no amount from 1 to 10¹⁵ bytes.
+pub fn bytes(text: &str) -> Result<u64, String> {
+    let expected = || format!("`{text}`; expected bytes such as 268435456, 256MiB or 1GB");
+    let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
+    let unit = match &text[digits.len()..] {
+        "" | "B" => 1.0,
+        "kB" | "KB" => 1e3,
+        "MB" => 1e6,
+        "GB" => 1e9,
+        "KiB" => 1024.0,
+        "MiB" => 1_048_576.0,
+        "GiB" => 1_073_741_824.0,
+        _ => return Err(expected()),
+    };
+    let bytes = digits.parse::<f64>().ok().map(|n| n * unit).filter(|b| *b >= 1.0 && *b <= 1e15);
+    Ok(bytes.ok_or_else(expected)? as u64)
+}
+
 /// The built-in link, or what `spec` says.
 pub fn open_link(spec: Option<&str>) -> anyhow::Result<LinkTrace> {
     Ok(match spec {
@@ -273,7 +294,6 @@ pub struct Placed {
 
 /// Puts the path into the world and samples it. `as_is` leaves it where it is unless a placement is given.
 pub fn place(path: &CameraPath, world: &World, as_is: bool, args: &PathArgs) -> anyhow::Result<Placed> {
-    let fov_y = args.fov_y()?;
     let (mut placed, place) = if as_is && args.place.is_none() {
         (path.clone(), "as it is".to_owned())
     } else {
@@ -284,7 +304,15 @@ pub fn place(path: &CameraPath, world: &World, as_is: bool, args: &PathArgs) -> 
         placed = look::aim(&placed, look::Aim::Point(target));
         placed.add_note(format!("the camera is aimed: {}", Look::Target(target)));
     }
-    let path = &placed;
+    Ok(Placed { flight: sample(&placed, args)?, place, notes: placed.notes().to_vec() })
+}
+
+/// A path that is in world space already, sampled.
+///
+/// # Errors
+/// A field of view or a part of the path without meaning.
+pub fn sample(path: &CameraPath, args: &PathArgs) -> anyhow::Result<Flight> {
+    let fov_y = args.fov_y()?;
     let duration = args.duration(path.duration())?;
     let looped;
     let source = if args.looped {
@@ -293,11 +321,10 @@ pub fn place(path: &CameraPath, world: &World, as_is: bool, args: &PathArgs) -> 
     } else {
         path
     };
-    let flight = Flight::sample(duration, |t| {
+    Ok(Flight::sample(duration, |t| {
         let (position, orientation) = source.at(args.from + t);
         View { position, orientation, fov_y, viewport: args.viewport }
-    });
-    Ok(Placed { flight, place, notes: path.notes().to_vec() })
+    }))
 }
 
 /// Notes of a world for the reader, the same kind of note folded after a few.

@@ -4,7 +4,7 @@
 //! made by the one before; it takes over as soon as its best is certain, or when the next sampling is due.
 
 use super::closure::needed_by;
-use super::context::{Choice, Choose, Context, Lookahead, first_pointless};
+use super::context::{Choice, Choose, Context, Discarded, Lookahead, first_pointless, predicted_share};
 use super::settings::Discards;
 use crate::benefit::coverage::Refinement;
 use crate::benefit::cut::{Cut, Region};
@@ -12,6 +12,7 @@ use crate::lod_tree::RepId;
 use crate::select::certified::{
     Ask, Certificate, Link, Objective, ObjectiveSettings, Ranked, Residents, Search, Standing, Stop,
 };
+use crate::select::horizon::Worst;
 use crate::state::{ClientState, Status};
 use crate::units::Time;
 use crate::view::View;
@@ -37,8 +38,8 @@ struct Prospect {
     /// When it was sampled, and what was outstanding then.
     sampled: Time,
     queued_bytes: u64,
-    /// The nearest predicted view.
-    nearest: Option<View>,
+    /// The nearest predicted view of each camera, with the camera's share.
+    nearest: Vec<(f64, View)>,
 }
 
 /// The certified choice.
@@ -55,8 +56,8 @@ pub(super) struct CertifiedChoice {
     /// Whether this observation's share of the work ahead of need is done.
     prepared: bool,
     residents: Residents,
-    /// The cut of the nearest predicted view, once it is needed.
-    seen: Option<Cut>,
+    /// The cuts of the nearest predicted views, with their shares, once they are needed.
+    seen: Vec<(f64, Cut)>,
     /// Gain and cost of what was requested since the objective was sampled.
     taken: (f64, f64),
     /// Evaluations made by the present search before the latest observation.
@@ -94,7 +95,7 @@ impl CertifiedChoice {
     fn take_over(&mut self) {
         self.is_coming = false;
         self.residents.sampled();
-        self.seen = None;
+        self.seen.clear();
         self.taken = (0.0, 0.0);
         self.evaluations_before = self.present.search.evaluations();
     }
@@ -173,7 +174,7 @@ impl CertifiedChoice {
             passed_over.push(ranked.clone());
             if net > floor {
                 let Ranked { rep, members, gain, cost, .. } = ranked;
-                best = Some((Choice { ratio: net, gain, rep, members, discards }, cost));
+                best = Some((Choice { ratio: net, gain, rep, members, discards, predicted_share: 0.0 }, cost));
                 if loss == 0.0 {
                     break;
                 }
@@ -187,6 +188,10 @@ impl CertifiedChoice {
         if let Some((choice, cost)) = &best {
             self.taken.0 += choice.ratio * cost;
             self.taken.1 += cost;
+        }
+        if let Some((choice, _)) = &mut best {
+            let worst = self.present.search.gain_of_worst_case(ask, standing, &choice.members);
+            choice.predicted_share = predicted_share(choice.gain, worst);
         }
         let (gained, spent) = self.taken;
         let left = upper * spent;
@@ -255,10 +260,14 @@ impl Choose for CertifiedChoice {
             core::mem::swap(&mut self.present, &mut self.coming);
             self.take_over();
         }
-        self.coming.objective.make(cx.state.tree, &ahead.paths, &ahead.bounds, ahead.worst(), &settings);
+        self.coming.objective.cameras = ahead.cameras;
+        let worst = Worst::Several(&ahead.worst);
+        self.coming.objective.make(cx.state.tree, &ahead.paths, &ahead.bounds, worst, &settings);
         self.coming.restarted = false;
         (self.coming.sampled, self.coming.queued_bytes) = (cx.sampled, cx.queued_bytes);
-        self.coming.nearest = ahead.paths.first().and_then(|path| path.views.first()).copied();
+        let nearest = ahead.paths.iter().filter_map(|path| path.views.first().copied());
+        self.coming.nearest.clear();
+        self.coming.nearest.extend(cx.state.cameras().iter().map(|(share, _)| *share).zip(nearest));
         (self.is_coming, self.prepared) = (true, true);
         if ahead.anew {
             core::mem::swap(&mut self.present, &mut self.coming);
@@ -330,19 +339,20 @@ impl Choose for CertifiedChoice {
 
     fn cover(&mut self, cx: &Context) -> Option<RepId> {
         let (state, tree) = (cx.state, cx.state.tree);
-        let nearest = self.present.nearest?;
         let standing = self.read(state);
-        let seen = self.seen.get_or_insert_with(|| {
-            let mut cut = Cut::default();
-            cut.make(tree, &nearest, Region::Frustum, &cx.settings.cut);
-            cut
-        });
+        if self.seen.is_empty() {
+            self.seen.extend(self.present.nearest.iter().map(|(share, view)| {
+                let mut cut = Cut::default();
+                cut.make(tree, view, Region::Frustum, &cx.settings.cut);
+                (*share, cut)
+            }));
+        }
         let mut weight = BTreeMap::<RepId, f64>::new();
-        for patch in &seen.patches {
+        for (share, patch) in self.seen.iter().flat_map(|(share, cut)| cut.patches.iter().map(move |p| (share, p))) {
             if standing.plan().shown_at(tree, patch.node).0.is_none() {
                 let coarsest = tree.ancestors(patch.node).filter_map(|n| tree.own(n).next()).last();
                 if let Some(rep) = coarsest {
-                    *weight.entry(rep).or_default() += patch.weight;
+                    *weight.entry(rep).or_default() += share * patch.weight;
                 }
             }
         }
@@ -370,6 +380,22 @@ impl Choose for CertifiedChoice {
                 this.present.search.marginal(ask, standing, rep, offset) / seconds < 0.1 * ratio
             })
         })
+    }
+
+    fn make_room(&mut self, cx: &Context, bytes: u64) -> Discarded {
+        let state = cx.state;
+        let planned = cx.settings.discards == Discards::Planned;
+        let may_go = |rep: RepId| state.status(rep) == Status::Resident && !state.is_needed(rep);
+        self.with_ask(cx, |this, ask, standing| {
+            this.restart(ask, standing);
+            let (search, offset) = (&mut this.present.search, ask.link.first_byte_s);
+            let gone = this.residents.make_room(ask, search, standing, bytes, offset, planned, &may_go);
+            Discarded { reps: gone.reps, loss: gone.loss }
+        })
+    }
+
+    fn loss(&mut self, cx: &Context, rep: RepId) -> f64 {
+        self.with_ask(cx, |this, ask, standing| this.present.search.marginal(ask, standing, rep, ask.link.first_byte_s))
     }
 
     fn choose(&mut self, cx: &Context) -> Option<Choice> {

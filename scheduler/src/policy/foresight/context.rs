@@ -5,7 +5,6 @@ use crate::benefit::cut::Region;
 use crate::lod_tree::RepId;
 use crate::predict::PredictedPath;
 use crate::select::certified::Certificate;
-use crate::select::horizon::Worst;
 use crate::state::{ClientState, Status};
 use crate::units::Time;
 use crate::view::View;
@@ -58,20 +57,15 @@ pub(super) struct Lookahead {
     pub(super) alpha: f64,
     /// Whether nothing sampled before holds any more.
     pub(super) anew: bool,
+    /// As many of the paths, from the first on, are each camera's first.
+    pub(super) cameras: usize,
     /// A view an interval, at its middle.
     pub(super) paths: Vec<PredictedPath>,
     /// Ends of the intervals, seconds, ascending from 0.
     pub(super) bounds: Vec<f64>,
-    /// The present view, what is reachable from it, and under `minimum` the worst reachable views with their weights.
-    pub(super) view: View,
-    pub(super) region: Region,
-    pub(super) worst_views: Option<Vec<(f64, View)>>,
-}
-
-impl Lookahead {
-    pub(super) fn worst(&self) -> Worst<'_> {
-        self.worst_views.as_deref().map_or(Worst::Union(&self.view, self.region), Worst::Views)
-    }
+    /// The worst case: what is reachable from the present views, or under `minimum` the worst reachable views; the
+    /// weights sum to 1.
+    pub(super) worst: Vec<(f64, View, Region)>,
 }
 
 /// A closure chosen, with what has to go for it.
@@ -82,6 +76,22 @@ pub(super) struct Choice {
     pub(super) rep: RepId,
     pub(super) members: Vec<RepId>,
     pub(super) discards: Vec<RepId>,
+    /// Share of the predicted paths in the closure's gain.
+    pub(super) predicted_share: f64,
+}
+
+/// Share of the predicted paths in a gain of which the worst case has `worst`.
+pub(super) fn predicted_share(gain: f64, worst: f64) -> f64 {
+    let share = 1.0 - worst / gain;
+    if share.is_finite() { share.clamp(0.0, 1.0) } else { 0.0 }
+}
+
+/// Residents that go together.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Discarded {
+    pub(super) reps: Vec<RepId>,
+    /// ΔJ lost with all of them.
+    pub(super) loss: f64,
 }
 
 /// A way to choose. It keeps the planned set as the policy's own actions have left it.
@@ -101,6 +111,11 @@ pub(super) trait Choose: Send {
     fn cover(&mut self, cx: &Context) -> Option<RepId>;
     /// A request that has lost its point: nothing gained by it any more, or far less than by the best candidate.
     fn pointless_request(&mut self, cx: &Context) -> Option<RepId>;
+    /// Residents to discard until `bytes` are freed, by least loss per byte, whatever that loses; those found so far
+    /// where something needs the rest first.
+    fn make_room(&mut self, cx: &Context, bytes: u64) -> Discarded;
+    /// What is lost with a planned representation alone.
+    fn loss(&mut self, cx: &Context, rep: RepId) -> f64;
     /// The best closure that gains, with its discards.
     fn choose(&mut self, cx: &Context) -> Option<Choice>;
     /// What is proven about the last choice.

@@ -5,13 +5,13 @@
 //! refinement), which branch and bound does not.
 
 use super::closure::{closure, common_ancestor, needed_by};
-use super::context::{Choice, Choose, Context, Lookahead, first_pointless};
+use super::context::{Choice, Choose, Context, Discarded, Lookahead, first_pointless, predicted_share};
 use super::settings::Discards;
 use crate::benefit::accuracy::accuracy;
 use crate::benefit::coverage::{Coverage, Refinement};
 use crate::lod_tree::{NodeId, RepId};
 use crate::select::discard::{Victim, Victims};
-use crate::select::horizon::{Horizon, HorizonSettings};
+use crate::select::horizon::{Horizon, HorizonSettings, Worst};
 use crate::state::{ClientState, Status};
 use rustc_hash::FxHashMap;
 use std::cmp::Ordering;
@@ -95,7 +95,8 @@ impl Sampled {
             tolerance: (s.grouping * self.typical_gain).clamp(TOLERANCES.0, TOLERANCES.1),
             cut: s.cut,
         };
-        self.horizon.make(tree, plan, &ahead.paths, &ahead.bounds, ahead.worst(), &horizon);
+        self.horizon.cameras = ahead.cameras;
+        self.horizon.make(tree, plan, &ahead.paths, &ahead.bounds, Worst::Several(&ahead.worst), &horizon);
         self.changes.clear();
         self.uses += 1;
         self.victims.clear();
@@ -272,7 +273,8 @@ impl Sampled {
             let free = state.free_bytes();
             if need <= free {
                 if best.as_ref().is_none_or(|b| ratio > b.ratio) {
-                    best = Some(Choice { ratio, gain, rep: top.rep, members, discards: Vec::new() });
+                    best =
+                        Some(Choice { ratio, gain, rep: top.rep, members, discards: Vec::new(), predicted_share: 0.0 });
                 } else {
                     passed_over.push(Candidate { ratio, gain, seen, ..top });
                 }
@@ -285,7 +287,14 @@ impl Sampled {
                     let net = (gain - loss) / cost;
                     let candidate = Candidate { ratio: net, gain, seen, ..top };
                     if best.as_ref().is_none_or(|b| net > b.ratio) {
-                        if let Some(b) = best.replace(Choice { ratio: net, gain, rep: top.rep, members, discards }) {
+                        if let Some(b) = best.replace(Choice {
+                            ratio: net,
+                            gain,
+                            rep: top.rep,
+                            members,
+                            discards,
+                            predicted_share: 0.0,
+                        }) {
                             passed_over.push(Candidate { ratio: b.ratio, rep: b.rep, gain: b.gain, seen });
                         }
                     } else {
@@ -297,6 +306,11 @@ impl Sampled {
             }
         }
         self.candidates.extend(passed_over);
+        if let Some(choice) = &mut best {
+            // After all time, only the terms without an interval count.
+            let worst = self.closure_gain(state, plan, &choice.members, f64::INFINITY);
+            choice.predicted_share = predicted_share(choice.gain, worst);
+        }
         best
     }
 
@@ -431,6 +445,35 @@ impl Choose for Sampled {
         });
         self.plan = Some(plan);
         found
+    }
+
+    fn make_room(&mut self, cx: &Context, bytes: u64) -> Discarded {
+        let (state, tree) = (cx.state, cx.state.tree);
+        let Some(mut plan) = self.plan.take() else { return Discarded::default() };
+        let offset = cx.arrival(0);
+        // What could not go before may now, and has been left out since.
+        self.victims.clear();
+        self.victims_known = false;
+        self.know_victims(cx, &plan, offset);
+        let may_go = |rep: RepId| state.status(rep) == Status::Resident && !state.is_needed(rep);
+        let all: u64 = state.residents().filter(|&rep| may_go(rep)).map(|rep| tree.decoded_bytes(rep)).sum();
+        let last_used = &self.last_used;
+        let used = |rep: RepId| last_used.get(&rep).copied().unwrap_or(0);
+        let empty = Horizon::default();
+        let horizon = if cx.settings.discards == Discards::Planned { &self.horizon } else { &empty };
+        let bytes = bytes.min(all);
+        let gone = self.victims.choose(tree, horizon, &mut plan, &[], bytes, offset, f64::INFINITY, used, may_go);
+        let gone = gone.unwrap_or_default();
+        self.victims.restore(tree, horizon, &mut plan, &gone.reps, offset, used);
+        self.plan = Some(plan);
+        Discarded { reps: gone.reps, loss: gone.loss }
+    }
+
+    fn loss(&mut self, cx: &Context, rep: RepId) -> f64 {
+        let Some(mut plan) = self.plan.take() else { return 0.0 };
+        let loss = self.horizon.marginal(cx.state.tree, &mut plan, rep, cx.arrival(0));
+        self.plan = Some(plan);
+        loss
     }
 
     fn choose(&mut self, cx: &Context) -> Option<Choice> {

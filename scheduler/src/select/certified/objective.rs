@@ -35,7 +35,7 @@ pub(super) struct Term {
     span: usize,
     /// Share of the objective, with the view's scale.
     factor: f64,
-    /// Whether this is the first path's first view.
+    /// Whether this is the first view of the first path, or of another camera's first.
     pub(super) is_nearest: bool,
 }
 
@@ -46,6 +46,8 @@ pub struct Objective {
     /// Ends of the intervals, seconds from now.
     spans: Vec<(f64, f64)>,
     scratch: Cut,
+    /// As many paths, from the first on, are each camera's first; at least one is.
+    pub(crate) cameras: usize,
 }
 
 impl Objective {
@@ -69,10 +71,11 @@ impl Objective {
             .collect();
         let whole: f64 = att.iter().sum();
         if settings.alpha > 0.0 && whole > 0.0 {
-            for path in paths {
+            for (which, path) in paths.iter().enumerate() {
                 for (span, view) in path.views.iter().enumerate().take(att.len()) {
                     let factor = settings.alpha * path.weight * att[span] / whole;
-                    self.add(tree, view, Region::Frustum, span, factor, &settings.cut);
+                    let is_nearest = span == 0 && which < self.cameras;
+                    self.add(tree, view, Region::Frustum, span, factor, &settings.cut, is_nearest);
                 }
             }
         }
@@ -80,10 +83,10 @@ impl Objective {
             let cut = CutSettings { centre_falloff: 0.0, ..settings.cut };
             let (always, share) = (self.spans.len(), 1.0 - settings.alpha);
             match worst.into() {
-                Worst::Union(view, region) => self.add(tree, view, region, always, share, &cut),
-                Worst::Views(views) => {
-                    for (weight, view) in views {
-                        self.add(tree, view, Region::Frustum, always, share * weight, &cut);
+                Worst::Union(view, region) => self.add(tree, view, region, always, share, &cut, false),
+                Worst::Several(views) => {
+                    for (weight, view, region) in views {
+                        self.add(tree, view, *region, always, share * weight, &cut, false);
                     }
                 }
             }
@@ -95,7 +98,17 @@ impl Objective {
         });
     }
 
-    fn add(&mut self, tree: &LodTree, view: &View, region: Region, span: usize, factor: f64, settings: &CutSettings) {
+    #[expect(clippy::too_many_arguments, reason = "one term; grouping the inputs would only rename them")]
+    fn add(
+        &mut self,
+        tree: &LodTree,
+        view: &View,
+        region: Region,
+        span: usize,
+        factor: f64,
+        settings: &CutSettings,
+        is_nearest: bool,
+    ) {
         if factor.is_nan() || factor <= 0.0 {
             return;
         }
@@ -105,7 +118,7 @@ impl Objective {
         let half_accuracy = crate::benefit::accuracy::HALF_ACCURACY_PX;
         let ratio = eye.frustum.pixels_per_radian / half_accuracy;
         self.terms.push(Term {
-            is_nearest: self.terms.is_empty(),
+            is_nearest: is_nearest || self.terms.is_empty(),
             planes: eye.frustum.planes.map(|p| (p, p.abs())),
             eye,
             sharpness: ratio * ratio,

@@ -13,6 +13,8 @@ use std::collections::BinaryHeap;
 
 /// Residents looked at to make room once.
 const LOOKS_MAX: usize = 48;
+/// Residents that go together at most when memory shrinks.
+const BATCH: usize = 4096;
 /// Estimates at one tick: the share of the residents, and their least and largest number.
 const TURN: (usize, usize, usize) = (8, 16, 160);
 
@@ -39,6 +41,20 @@ pub struct Sacrifice {
     pub reps: Vec<RepId>,
     /// ΔJ lost with all of them together.
     pub loss: f64,
+}
+
+/// Room to be made.
+#[derive(Clone, Copy, Debug)]
+struct Room {
+    bytes: u64,
+    /// Losses are counted from then on, seconds.
+    offset: f64,
+    loss_max: f64,
+    /// Residents looked at, and taken, at most.
+    looks_max: usize,
+    reps_max: usize,
+    /// By loss per byte; otherwise by least recent use.
+    planned: bool,
 }
 
 /// The planned representations with their losses.
@@ -160,6 +176,41 @@ impl Residents {
         may_go: MayGo,
         members: &[RepId],
     ) -> Option<Sacrifice> {
+        let room = Room { bytes, offset, loss_max, looks_max: LOOKS_MAX, reps_max: usize::MAX, planned };
+        let (sacrifice, freed) = self.gather(ask, search, standing, near, room, may_go, members);
+        (freed >= bytes && sacrifice.loss <= loss_max).then_some(sacrifice)
+    }
+
+    /// As [`Residents::choose`], whatever it loses: what has to go when memory shrinks. Fewer than `bytes` are freed where
+    /// nothing else may go, or too much had to be looked at; what is left is asked for again.
+    #[expect(clippy::too_many_arguments, reason = "inputs of one greedy step; grouping them would only rename them")]
+    pub fn make_room(
+        &mut self,
+        ask: &Ask,
+        search: &mut Search,
+        standing: &mut Standing,
+        bytes: u64,
+        offset: f64,
+        planned: bool,
+        may_go: MayGo,
+    ) -> Sacrifice {
+        let looks_max = 4 * self.slots.len() + BATCH;
+        let room = Room { bytes, offset, loss_max: f64::INFINITY, looks_max, reps_max: BATCH, planned };
+        self.gather(ask, search, standing, &[], room, may_go, &[]).0
+    }
+
+    #[expect(clippy::too_many_arguments, reason = "inputs of one greedy step; grouping them would only rename them")]
+    fn gather(
+        &mut self,
+        ask: &Ask,
+        search: &mut Search,
+        standing: &mut Standing,
+        near: &[RepId],
+        room: Room,
+        may_go: MayGo,
+        members: &[RepId],
+    ) -> (Sacrifice, u64) {
+        let Room { bytes, offset, loss_max, looks_max, reps_max, planned } = room;
         let tree = ask.tree;
         if !self.filled {
             self.filled = true;
@@ -186,7 +237,7 @@ impl Residents {
             last_used,
             rep,
         };
-        while freed < bytes && looks < LOOKS_MAX {
+        while freed < bytes && looks < looks_max && sacrifice.reps.len() < reps_max {
             let mut first: Option<Victim> = None;
             while let Some(Reverse(victim)) = self.heap.pop() {
                 let Some(&place) = self.place.get(&victim.rep.0) else { continue };
@@ -225,7 +276,7 @@ impl Residents {
                     break;
                 }
                 self.heap.push(Reverse(fresh));
-                if looks >= LOOKS_MAX {
+                if looks >= looks_max {
                     break;
                 }
             }
@@ -261,6 +312,6 @@ impl Residents {
                 self.enter(self.slots[place as usize]);
             }
         }
-        (freed >= bytes && sacrifice.loss <= loss_max).then_some(sacrifice)
+        (sacrifice, freed)
     }
 }

@@ -504,6 +504,15 @@ impl Search {
         ask.objective.marginal(ask.tree, standing, rep, &self.weights, &mut self.scratch)
     }
 
+    /// What the worst case has of a closure's gain. Not counted among the evaluations.
+    pub fn gain_of_worst_case(&mut self, ask: &Ask, standing: &mut Standing, members: &[RepId]) -> f64 {
+        let visited = self.scratch.visited;
+        // After all time, only the terms without an interval count.
+        let gain = self.gain(ask, standing, members, f64::INFINITY);
+        self.scratch.visited = visited;
+        gain
+    }
+
     /// Any representation's exact ratio as a candidate, as [`Search::next`] computes it; `None` if it cannot be requested.
     pub fn exact(&mut self, ask: &Ask, standing: &mut Standing, rep: RepId) -> Option<Ranked> {
         self.rank(ask, standing, rep)

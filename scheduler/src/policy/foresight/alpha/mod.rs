@@ -105,7 +105,7 @@ pub(super) struct Sampled<'a> {
     pub paths: &'a [PredictedPath],
     /// Seconds from now, ascending.
     pub offsets: &'a [f64],
-    /// The worst case as weighted regions: one for the union, worst views otherwise. Weights sum to 1.
+    /// The worst case as weighted regions: one a camera for the union, worst views otherwise. Weights sum to 1.
     pub worst: &'a [(f64, View, Region)],
     pub cut: &'a CutSettings,
     /// Attenuation rate, 1/s.
@@ -172,10 +172,10 @@ impl Alpha {
         self.alpha
     }
 
-    /// The camera is at `view`: what was predicted for now is judged.
-    pub(super) fn observe(&mut self, tree: &LodTree, view: &View, now: Time) {
+    /// The cameras, with their shares, are where they are: what was predicted for now is judged.
+    pub(super) fn observe(&mut self, tree: &LodTree, cameras: &[(f64, View)], now: Time) {
         if self.rule == AlphaRule::Adapted {
-            self.pool.judge(tree, view, now);
+            self.pool.judge(tree, cameras, now);
         }
     }
 

@@ -91,8 +91,8 @@ impl Pool {
         });
     }
 
-    /// Judges what was predicted for now by the true view.
-    pub(super) fn judge(&mut self, tree: &LodTree, view: &View, now: Time) {
+    /// Judges what was predicted for now by the true views, of which each counts by its share.
+    pub(super) fn judge(&mut self, tree: &LodTree, cameras: &[(f64, View)], now: Time) {
         let mut pending = core::mem::take(&mut self.pending);
         for prediction in &mut pending {
             while let Some(&offset) = prediction.offsets.get(prediction.next) {
@@ -105,7 +105,7 @@ impl Pool {
                 if now.since(due).secs() > LATE_S_MAX {
                     continue;
                 }
-                if let Some(explained) = self.explained(tree, view, prediction, which) {
+                if let Some(explained) = self.explained(tree, cameras, prediction, which) {
                     self.judged = self.judged.saturating_add(1);
                     let kept = KEPT.min(1.0 - 1.0 / (f64::from(self.judged) + 1.0));
                     let step = (1.0 - kept) * libm::exp(-prediction.attenuation * offset);
@@ -119,7 +119,13 @@ impl Pool {
 
     /// r: the share of what is seen that the predicted paths explain, against the worst case; `None` if neither foresaw
     /// any of it.
-    fn explained(&mut self, tree: &LodTree, view: &View, prediction: &Pending, which: usize) -> Option<f64> {
+    fn explained(
+        &mut self,
+        tree: &LodTree,
+        cameras: &[(f64, View)],
+        prediction: &Pending,
+        which: usize,
+    ) -> Option<f64> {
         let paths = prediction.paths.iter().filter_map(|p| Some((p.weight, *p.views.get(which)?, Region::Frustum)));
         let predicted = paths.clone().count();
         let mut used = 0;
@@ -131,16 +137,19 @@ impl Pool {
             self.cuts[used].1.make(tree, &from, region, &prediction.cut);
             used += 1;
         }
-        self.seen.make(tree, view, Region::Frustum, &prediction.cut);
         let (predicted, worst) = self.cuts[..used].split_at(predicted);
         let (mut by_paths, mut by_either) = (0.0, 0.0);
-        for patch in &self.seen.patches {
-            let density = |cuts: &[(f64, Cut)]| cuts.iter().map(|(w, cut)| w * weight_at(tree, cut, patch.node)).sum();
-            let (p, u): (f64, f64) = (density(predicted), density(worst));
-            let pooled = self.alpha * p + (1.0 - self.alpha) * u;
-            if pooled > 0.0 && pooled.is_finite() {
-                by_paths += patch.weight * (self.alpha * p / pooled);
-                by_either += patch.weight;
+        for (share, view) in cameras {
+            self.seen.make(tree, view, Region::Frustum, &prediction.cut);
+            for patch in &self.seen.patches {
+                let density =
+                    |cuts: &[(f64, Cut)]| cuts.iter().map(|(w, cut)| w * weight_at(tree, cut, patch.node)).sum();
+                let (p, u): (f64, f64) = (density(predicted), density(worst));
+                let pooled = self.alpha * p + (1.0 - self.alpha) * u;
+                if pooled > 0.0 && pooled.is_finite() {
+                    by_paths += share * patch.weight * (self.alpha * p / pooled);
+                    by_either += share * patch.weight;
+                }
             }
         }
         (by_either > 0.0).then(|| (by_paths / by_either).clamp(0.0, 1.0))

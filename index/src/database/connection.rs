@@ -1,17 +1,33 @@
 //! One connection to either database, under one interface of plain values.
 
-use super::row::{Kind, Value};
 use sqlx::sqlite::SqliteConnection;
 use sqlx::{AssertSqlSafe, Connection as _, Row as _};
 
-#[cfg(feature = "runs-postgres")]
+#[cfg(feature = "postgres")]
 use sqlx::postgres::PgConnection;
+
+/// Type of a column.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Kind {
+    Integer,
+    Real,
+    #[cfg(feature = "runs")]
+    Text,
+}
+
+/// A value of a column, or its absence.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Value {
+    Integer(Option<i64>),
+    Real(Option<f64>),
+    Text(Option<String>),
+}
 
 /// A connection to a SQLite file or a PostgreSQL server. Statements have `$1`, `$2`, … for values, which both know.
 #[derive(Debug)]
-pub(super) enum Connection {
+pub(crate) enum Connection {
     Sqlite(SqliteConnection),
-    #[cfg(feature = "runs-postgres")]
+    #[cfg(feature = "postgres")]
     Postgres(PgConnection),
 }
 
@@ -40,6 +56,7 @@ macro_rules! values {
                 Ok(match kind {
                     Kind::Integer => Value::Integer(row.try_get(column)?),
                     Kind::Real => Value::Real(row.try_get(column)?),
+                    #[cfg(feature = "runs")]
                     Kind::Text => Value::Text(row.try_get(column)?),
                 })
             })
@@ -49,16 +66,16 @@ macro_rules! values {
 
 impl Connection {
     /// Runs a statement.
-    pub(super) async fn execute(&mut self, sql: &str, values: &[Value]) -> Result<(), sqlx::Error> {
+    pub(crate) async fn execute(&mut self, sql: &str, values: &[Value]) -> Result<(), sqlx::Error> {
         match self {
             Connection::Sqlite(connection) => bound!(sql, values).execute(connection).await.map(drop),
-            #[cfg(feature = "runs-postgres")]
+            #[cfg(feature = "postgres")]
             Connection::Postgres(connection) => bound!(sql, values).execute(connection).await.map(drop),
         }
     }
 
     /// Runs a query and gives its rows, whose columns are of these kinds.
-    pub(super) async fn rows(
+    pub(crate) async fn rows(
         &mut self,
         sql: &str,
         values: &[Value],
@@ -68,7 +85,7 @@ impl Connection {
             Connection::Sqlite(connection) => {
                 bound!(sql, values).fetch_all(connection).await?.iter().map(|row| values!(row, kinds)).collect()
             }
-            #[cfg(feature = "runs-postgres")]
+            #[cfg(feature = "postgres")]
             Connection::Postgres(connection) => {
                 bound!(sql, values).fetch_all(connection).await?.iter().map(|row| values!(row, kinds)).collect()
             }
@@ -76,22 +93,27 @@ impl Connection {
     }
 
     /// Begins a transaction that no other writer can come between.
-    pub(super) async fn begin_writing(&mut self) -> Result<(), sqlx::Error> {
+    /// On PostgreSQL others can read this table meanwhile.
+    pub(crate) async fn begin_writing(&mut self, table: &'static str) -> Result<(), sqlx::Error> {
         match self {
-            Connection::Sqlite(_) => self.execute("BEGIN IMMEDIATE", &[]).await,
-            #[cfg(feature = "runs-postgres")]
+            Connection::Sqlite(_) => {
+                // A file has one writer at a time, whatever the table.
+                let _ = table;
+                self.execute("BEGIN IMMEDIATE", &[]).await
+            }
+            #[cfg(feature = "postgres")]
             Connection::Postgres(_) => {
                 self.execute("BEGIN", &[]).await?;
-                self.execute("LOCK TABLE runs IN SHARE ROW EXCLUSIVE MODE", &[]).await
+                self.execute(&format!("LOCK TABLE {table} IN SHARE ROW EXCLUSIVE MODE"), &[]).await
             }
         }
     }
 
     /// Ends the connection; what was not committed is undone.
-    pub(super) async fn close(self) -> Result<(), sqlx::Error> {
+    pub(crate) async fn close(self) -> Result<(), sqlx::Error> {
         match self {
             Connection::Sqlite(connection) => connection.close().await,
-            #[cfg(feature = "runs-postgres")]
+            #[cfg(feature = "postgres")]
             Connection::Postgres(connection) => connection.close().await,
         }
     }

@@ -1,10 +1,17 @@
-//! Where a store is.
+//! Where a database is.
 
-use super::RunStoreError;
 use std::path::PathBuf;
 use std::{fmt, str::FromStr};
 
-/// Where a store is: a file, or a PostgreSQL database by URL.
+/// Neither a file nor a URL that is known.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("`{given}`: unknown scheme; expected a file or postgres://USER@HOST/DATABASE")]
+pub struct LocationError {
+    /// As given, without a password.
+    pub given: String,
+}
+
+/// Where a database is: a file, or a PostgreSQL database by URL.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Location {
     /// A SQLite file.
@@ -14,17 +21,17 @@ pub enum Location {
 }
 
 impl FromStr for Location {
-    type Err = RunStoreError;
+    type Err = LocationError;
 
-    /// `postgres://…`, `postgresql://…`, `sqlite://FILE`, or a file.
-    fn from_str(text: &str) -> Result<Location, RunStoreError> {
+    /// `postgres://…`, `postgresql://…`, `sqlite://FILE`, `sqlite:FILE`, or a file.
+    fn from_str(text: &str) -> Result<Location, LocationError> {
         match text.split_once("://") {
             Some(("postgres" | "postgresql", _)) => Ok(Location::Postgres(text.to_owned())),
             Some(("sqlite", file)) if !file.is_empty() => Ok(Location::File(PathBuf::from(file))),
             Some((scheme, _)) if scheme.chars().all(|c| c.is_ascii_alphanumeric() || "+-.".contains(c)) => {
-                Err(RunStoreError::Scheme { given: without_password(text) })
+                Err(LocationError { given: without_password(text) })
             }
-            _ => Ok(Location::File(PathBuf::from(text))),
+            _ => Ok(Location::File(PathBuf::from(text.strip_prefix("sqlite:").unwrap_or(text)))),
         }
     }
 }
@@ -58,6 +65,7 @@ mod tests {
         let file = |text: &str| Location::File(PathBuf::from(text));
         assert_eq!("runs.sqlite".parse::<Location>().unwrap(), file("runs.sqlite"));
         assert_eq!("sqlite:///var/runs.sqlite".parse::<Location>().unwrap(), file("/var/runs.sqlite"));
+        assert_eq!("sqlite:/var/runs.sqlite".parse::<Location>().unwrap(), file("/var/runs.sqlite"));
         assert_eq!("a b/ü://x".parse::<Location>().unwrap(), file("a b/ü://x"));
         assert!(matches!("postgresql://localhost/runs".parse(), Ok(Location::Postgres(_))));
         for unknown in ["mysql://localhost/runs", "http://localhost/", "sqlite://"] {
