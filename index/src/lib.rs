@@ -3,10 +3,9 @@
 //! [`world::open`] takes whatever is recognised; [`world::World`] is what everything else works on. The crate decides
 //! nothing about what to fetch and knows no clock.
 
-#[cfg(any(feature = "cityjson", feature = "terrain", feature = "asteroids", feature = "orthoviews"))]
 #[cfg(any(feature = "runs", feature = "sessions"))]
 pub mod database;
-#[cfg(any(feature = "cityjson", feature = "terrain", feature = "asteroids"))]
+#[cfg(any(feature = "cityjson", feature = "terrain", feature = "asteroids", feature = "city", feature = "orthoviews"))]
 pub mod format;
 pub mod generate;
 pub mod geodesy;

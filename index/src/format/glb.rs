@@ -177,7 +177,8 @@ pub fn encode_model(origin: DVec3, parts: &[Part<'_>], images: &[&[u8]]) -> Vec<
         "materials": materials,
     });
     if !images.is_empty() {
-        let stored = images.iter().map(|image| json!({ "bufferView": view(image, None, &mut views), "mimeType": "image/png" }));
+        let stored =
+            images.iter().map(|image| json!({ "bufferView": view(image, None, &mut views), "mimeType": "image/png" }));
         json["images"] = stored.collect();
         json["textures"] = (0..images.len()).map(|source| json!({ "source": source })).collect();
     }

@@ -1,7 +1,7 @@
 //! Where settings come from.
 
-use super::settings::{Config, SETTINGS, Setting};
 use super::Token;
+use super::settings::{Config, SETTINGS, Setting};
 use clap::{Arg, ArgAction, ArgMatches, Command};
 use std::collections::BTreeMap;
 use std::io::Read as _;
@@ -101,10 +101,11 @@ fn argument(setting: &'static Setting) -> Arg {
         return argument.help(help).action(ArgAction::SetTrue);
     }
     let several = if setting.list { "; may be repeated" } else { "" };
-    argument
-        .help(format!("{meaning}{several}{default}"))
-        .value_name(word(setting))
-        .action(if setting.list { ArgAction::Append } else { ArgAction::Set })
+    argument.help(format!("{meaning}{several}{default}")).value_name(word(setting)).action(if setting.list {
+        ArgAction::Append
+    } else {
+        ArgAction::Set
+    })
 }
 
 /// What stands for the value in the help.

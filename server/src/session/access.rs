@@ -102,7 +102,8 @@ pub async fn guard(State(access): State<Arc<Access>>, mut request: Request, next
     let path = request.uri().path();
     if access.guards(path) {
         if !access.takes_origin(request.headers()) {
-            let detail = "pages of this origin may not; expected the server's own or one that the setting `origin` lists";
+            let detail =
+                "pages of this origin may not; expected the server's own or one that the setting `origin` lists";
             return Problem::new(StatusCode::FORBIDDEN, detail).into_response();
         }
         if !access.has_token(request.headers(), request.uri()) {
@@ -160,7 +161,8 @@ mod tests {
         for good in ["http://localhost:3000", "http://127.0.0.1:8080", "https://[::1]:1", "https://MAPS.example"] {
             assert!(takes(&open, good, "127.0.0.1:8080"), "{good}");
         }
-        for bad in ["null", "https://evil.example", "http://localhost.evil.example", "http://127.0.0.1.evil", "file://"] {
+        for bad in ["null", "https://evil.example", "http://localhost.evil.example", "http://127.0.0.1.evil", "file://"]
+        {
             assert!(!takes(&open, bad, "127.0.0.1:8080"), "{bad}");
         }
         // A name that was made to point here.

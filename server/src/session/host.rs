@@ -198,7 +198,10 @@ impl Host {
         let most = self.config.sessions_max.count();
         if sessions.by_id.len() + sessions.strangers >= most {
             self.metrics.refused("sessions");
-            return Err(refusal(ErrorCode::Limit, format!("{most} sessions are open; expected fewer: try again later")));
+            return Err(refusal(
+                ErrorCode::Limit,
+                format!("{most} sessions are open; expected fewer: try again later"),
+            ));
         }
         let most = self.config.sessions_per_address_max.count();
         if sessions.of_address.get(&address).copied().unwrap_or(0) >= most {
@@ -217,7 +220,8 @@ impl Host {
         outgoing: Arc<Outgoing>,
     ) -> Result<Arc<Handle>, Error> {
         let address = stranger.address;
-        if let Some(session) = hello.resume.as_ref().and_then(|id| self.find(id)).filter(|s| s.world.name() == hello.world)
+        if let Some(session) =
+            hello.resume.as_ref().and_then(|id| self.find(id)).filter(|s| s.world.name() == hello.world)
         {
             let at = clock::now();
             if session.post(Item::Resume { at, hello: hello.clone(), outgoing: outgoing.clone() }) {
@@ -227,7 +231,8 @@ impl Host {
         let Some((world, _)) = self.worlds.get(hello.world.as_str()) else {
             self.metrics.refused("world");
             let names: Vec<&str> = self.worlds.keys().copied().collect();
-            let message = format!("there is no world {:?}; expected one of {}", clipped(&hello.world), names.join(", "));
+            let message =
+                format!("there is no world {:?}; expected one of {}", clipped(&hello.world), names.join(", "));
             return Err(refusal(ErrorCode::World, message));
         };
         if let (None, Some(client), Some(estimates)) = (&hello.link, &hello.client, &self.estimates) {

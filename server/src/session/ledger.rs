@@ -34,13 +34,7 @@ pub(super) struct Figures {
 
 impl Ledger {
     pub(super) fn new(metrics: SessionMetrics) -> Ledger {
-        Ledger {
-            metrics,
-            pending: BTreeMap::new(),
-            figures: Figures::default(),
-            quality: None,
-            received: false,
-        }
+        Ledger { metrics, pending: BTreeMap::new(), figures: Figures::default(), quality: None, received: false }
     }
 
     /// The session has answered this.

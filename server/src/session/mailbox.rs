@@ -97,7 +97,18 @@ impl Handle {
     ) -> Handle {
         let room_bytes = room_bytes.clamp(FRAME_ROOM_MIN, Semaphore::MAX_PERMITS.min(u32::MAX as usize));
         let room = Arc::new(Semaphore::new(room_bytes));
-        Handle { id, number, world, address, began, thread, mail: Mutex::default(), events: Mutex::default(), room, room_bytes }
+        Handle {
+            id,
+            number,
+            world,
+            address,
+            began,
+            thread,
+            mail: Mutex::default(),
+            events: Mutex::default(),
+            room,
+            room_bytes,
+        }
     }
 
     fn mail(&self) -> MutexGuard<'_, Mail> {

@@ -135,8 +135,16 @@ impl SessionMetrics {
             Unit::Bytes,
             m.wasted_bytes,
         );
-        registry.register("quality_seconds", "Quality of the view (0 to 1) times seconds, over sessions", m.quality_seconds);
-        registry.register("benefit_per_byte", "Quality seconds per completed byte, since the start", m.benefit_per_byte);
+        registry.register(
+            "quality_seconds",
+            "Quality of the view (0 to 1) times seconds, over sessions",
+            m.quality_seconds,
+        );
+        registry.register(
+            "benefit_per_byte",
+            "Quality seconds per completed byte, since the start",
+            m.benefit_per_byte,
+        );
         registry.register_with_unit("session_memory", "Memory of all sessions, estimated", Unit::Bytes, m.memory_bytes);
         registry.register_with_unit(
             "view_to_decision",
@@ -151,7 +159,11 @@ impl SessionMetrics {
         registry.register("recordings", "Recordings of sessions begun", m.recordings);
         registry.register_with_unit("recording", "Bytes recorded", Unit::Bytes, m.recording_bytes);
         registry.register("recordings_cut_short", "Recordings that lack their end, by reason", m.recordings_cut_short);
-        registry.register("database_up", "1 if the database took the last write or answered the last question", m.database_up);
+        registry.register(
+            "database_up",
+            "1 if the database took the last write or answered the last question",
+            m.database_up,
+        );
         registry.register("database_writes", "Link estimates written", m.database_writes);
         registry.register("database_errors", "Failures of the database, by reason", m.database_errors);
         registry.register("database_drops", "Link estimates lost because too many waited", m.database_drops);

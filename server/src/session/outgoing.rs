@@ -71,7 +71,8 @@ impl Outgoing {
             state.answered.extend(received);
         }
         if state.messages.len() > self.most {
-            let message = format!("{} answers wait for this connection; expected at most {}", state.messages.len(), self.most);
+            let message =
+                format!("{} answers wait for this connection; expected at most {}", state.messages.len(), self.most);
             let error = Error { code: ErrorCode::Limit, message, fatal: true };
             *state = State { closed: Some(Closed { error: Some(error), reason: "slow" }), ..State::default() };
         }
@@ -120,10 +121,7 @@ mod tests {
         assert!(outgoing.push(vec![ServerMessage::Cancel { rep: 1 }, wait(1)], None));
         assert!(outgoing.push(vec![ServerMessage::Discard { rep: 2 }, wait(2)], None));
         let batch = outgoing.next().await;
-        assert_eq!(
-            batch.messages,
-            [ServerMessage::Cancel { rep: 1 }, ServerMessage::Discard { rep: 2 }, wait(2)]
-        );
+        assert_eq!(batch.messages, [ServerMessage::Cancel { rep: 1 }, ServerMessage::Discard { rep: 2 }, wait(2)]);
         assert!(batch.closed.is_none());
     }
 

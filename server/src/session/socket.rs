@@ -258,7 +258,11 @@ async fn next(
         (Message::Text(_) | Message::Binary(_), _) => {
             host.metrics.frames_malformed.inc();
             let expected = if encoding == Encoding::Json { "text frames" } else { "binary frames" };
-            return Err(End::told("malformed", ErrorCode::Malformed, format!("expected {expected} in this subprotocol")));
+            return Err(End::told(
+                "malformed",
+                ErrorCode::Malformed,
+                format!("expected {expected} in this subprotocol"),
+            ));
         }
         _ => return Ok((Vec::new(), 0)),
     };

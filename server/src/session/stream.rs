@@ -284,7 +284,9 @@ pub(super) async fn events(
     });
     session.post(Item::Present { outgoing: events.outgoing.clone() });
     let keep_alive = KeepAlive::new().interval(host.config.ping_every.0);
-    let mut response = Sse::new(stream(Reader { session, events, number, missed, ended: false })).keep_alive(keep_alive).into_response();
+    let mut response = Sse::new(stream(Reader { session, events, number, missed, ended: false }))
+        .keep_alive(keep_alive)
+        .into_response();
     // Proxies are not to gather events.
     response.headers_mut().insert("x-accel-buffering", HeaderValue::from_static("no"));
     Ok(response)

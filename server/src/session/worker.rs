@@ -1,7 +1,7 @@
 //! A decision thread: its sessions, their timers, and turn by turn their mail.
 
-use super::hosted::{Hosted, Over};
 use super::host::Host;
+use super::hosted::{Hosted, Over};
 use super::mailbox::{Handle, Item, Next, Thread};
 use crate::clock;
 use foresight_wire::message::{Error, ErrorCode};
