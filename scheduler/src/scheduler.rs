@@ -244,13 +244,15 @@ impl<'a> Scheduler<'a> {
         if allowed.contains(&status) { Ok(()) } else { Err(SchedulerError::Unexpected { rep: rep.0, event, status }) }
     }
 
-    /// Marks a representation as resident before the session starts. Refused if it does not fit.
+    /// Marks a representation as resident: before the session starts, or later, if the client has it by its own doing.
+    /// Refused if it does not fit.
     pub fn preload(&mut self, rep: RepId) -> Result<(), SchedulerError> {
         self.expect(rep, "preloaded", &[Status::Absent])?;
         if self.state.tree.decoded_bytes(rep) > self.state.free_bytes() {
             return Err(self.refusal("preload", rep));
         }
         self.state.place(rep);
+        self.policy.changed(&self.state);
         Ok(())
     }
 
@@ -301,7 +303,7 @@ impl<'a> Scheduler<'a> {
     pub fn set_budget(&mut self, bytes: u64) {
         self.state.budget = bytes;
         self.excess = Excess::default();
-        self.policy.budget_changed(&self.state);
+        self.policy.changed(&self.state);
     }
 
     /// Another policy decides from now on, about the same client. It learns where the cameras are; what it does not

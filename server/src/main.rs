@@ -25,7 +25,7 @@ enum Command {
 
 fn main() -> ExitCode {
     let Cli { command: Command::Serve(arguments) } = Cli::parse();
-    match serve::run(*arguments) {
+    match serve::run(&arguments) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {}", message(&error));

@@ -295,7 +295,7 @@ fn bounds(plan: &Plan, cuts: &[Cut], budget: u64, preloaded: &[RepId]) -> Vec<Bo
 }
 
 /// What a policy reached, averaged over the starts.
-fn outcome(spec: &PolicySpec, runs: &[Run]) -> PolicyOutcome {
+pub(crate) fn outcome(spec: &PolicySpec, runs: &[Run]) -> PolicyOutcome {
     let figures: Vec<Figures> = runs.iter().map(Figures::new).collect();
     let all = |figure: fn(&Figures) -> Option<f64>| -> Vec<Option<f64>> { figures.iter().map(figure).collect() };
     let average = |figure| {

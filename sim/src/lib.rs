@@ -9,5 +9,6 @@ pub mod outcome;
 pub mod pressure;
 pub mod replay;
 pub mod report;
+pub mod session_replay;
 pub mod stopwatch;
 pub mod suite;

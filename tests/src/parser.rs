@@ -8,8 +8,13 @@ use foresight_index::generate::document;
 use foresight_index::generate::terrain::TerrainParams;
 use foresight_index::import::{cityjson, elevation, tiles3d};
 use foresight_index::manifest;
+use foresight_server::http::{self, entity_tag::Comparison};
 use foresight_traces::path::parse::{Format, Options};
 use foresight_traces::{link, path};
+use foresight_wire::encoding::Encoding;
+use foresight_wire::message::ClientMessage;
+
+use crate::session;
 
 /// A parser: accepted, or refused with its message.
 pub type Parser = fn(&[u8]) -> Result<(), String>;
@@ -20,11 +25,14 @@ pub const TARGETS: &[(&str, Parser)] = &[
     ("asteroids", |bytes| outcome(document::parse::<AsteroidParams>(bytes))),
     ("city", |bytes| outcome(document::parse::<CityParams>(bytes))),
     ("cityjson", |bytes| outcome(cityjson::parse(bytes, "model"))),
+    ("client-messages", |bytes| outcome(Encoding::Json.read::<ClientMessage>(bytes))),
+    ("client-messages-msgpack", |bytes| outcome(Encoding::MessagePack.read::<ClientMessage>(bytes))),
     ("comma2k19", comma2k19),
     ("content", |bytes| outcome(tiles3d::content_summary(bytes))),
     ("delay", |bytes| outcome(link::delay::parse("delay", bytes))),
     ("geotiff", |bytes| outcome(elevation::parse_geotiff(bytes))),
     ("gpx", |bytes| path_as(Format::Gpx, bytes)),
+    ("http-request", http_request),
     ("igc", |bytes| path_as(Format::Igc, bytes)),
     ("irish5g", |bytes| path_as(Format::Irish5g, bytes)),
     ("irish5g-link", irish5g_link),
@@ -35,6 +43,8 @@ pub const TARGETS: &[(&str, Parser)] = &[
     ("path", |bytes| outcome(path::parse::from_bytes("path", bytes, &path::parse::Options::default()))),
     ("recording", recording),
     ("sabre", |bytes| outcome(link::sabre::parse("sabre", bytes))),
+    ("session", session::lines),
+    ("session-recording", session::recording),
     ("subtree", subtree),
     ("terrain", |bytes| outcome(document::parse::<TerrainParams>(bytes))),
     ("tileset", |bytes| outcome(tiles3d::parse_tileset(bytes))),
@@ -56,6 +66,30 @@ pub fn entry(target: &str, bytes: &[u8]) -> Result<(), String> {
 fn subtree(bytes: &[u8]) -> Result<(), String> {
     drop(tiles3d::parse_subtree(bytes, 8, 3, &|_| None));
     outcome(tiles3d::parse_subtree(bytes, 4, 2, &|_| None))
+}
+
+/// What the server reads of a request: the first line is a path below a world, the second a `Range` of 1000 bytes, the third an
+/// `Accept-Encoding`, the fourth a `Priority`, the fifth a list of entity tags. Refused is a path that leaves the world, or a range that is none or not there.
+fn http_request(bytes: &[u8]) -> Result<(), String> {
+    let mut lines = bytes.split(|&byte| byte == b'\n');
+    let mut line = || lines.next().unwrap_or_default();
+    let path = String::from_utf8_lossy(line());
+    let path = http::path::decode(&path).ok_or_else(|| format!("path {path:?}"));
+    let range = http::range::parse(line(), 1000);
+    let accepted = http::encoding::accepted(&String::from_utf8_lossy(line()));
+    let priority = http::priority::Priority::parse(line());
+    assert!(accepted.len() <= 3 && priority.urgency <= 7, "{accepted:?}, {priority:?}");
+    let tags = line();
+    let [weakly, strongly] =
+        [Comparison::Weak, Comparison::Strong].map(|how| http::entity_tag::holds(tags, b"\"a\"", how));
+    assert!(weakly || !strongly);
+    let path = path?;
+    assert_eq!(http::path::decode(&http::path::encode(&path)).as_ref(), Some(&path));
+    match range {
+        http::range::Asked::Part(part) if part.start < part.end && part.end <= 1000 => Ok(()),
+        http::range::Asked::Part(part) => panic!("{part:?} of 1000"),
+        other => Err(format!("{other:?}")),
+    }
 }
 
 /// A G-NetTrack log as a link: what does not begin with its header is some other link.

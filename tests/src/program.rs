@@ -19,14 +19,16 @@ pub struct Ended {
     pub stderr: String,
 }
 
-/// Path of a program of this workspace, built before the tests: it lies beside the folder of this test's executable.
+/// Path of a program of this workspace, built before the tests: it lies beside the folder of this test's executable, or
+/// beside this program.
 /// `foresight-sim` has the store of runs; `foresight-sim-default`, a copy of the default build, has not.
 ///
 /// # Panics
 /// If it is not there.
 pub fn built(name: &str) -> PathBuf {
     let test = std::env::current_exe().expect("this test knows its own path");
-    let folder = test.parent().and_then(Path::parent).expect("tests lie in <profile>/deps");
+    let beside = test.parent().expect("programs lie in a folder");
+    let folder = if beside.ends_with("deps") { beside.parent().expect("tests lie in <profile>/deps") } else { beside };
     let program = folder.join(format!("{name}{}", std::env::consts::EXE_SUFFIX));
     assert!(program.is_file(), "{} is missing; `tests/run` builds it", program.display());
     program
@@ -65,7 +67,7 @@ pub fn run(program: &str, folder: &Path, arguments: &[&str], environment: &[(&st
 }
 
 /// The exit code, or `None` if the limit passed and the program was killed.
-fn wait(child: &mut Child, limit: Duration) -> Option<Option<i32>> {
+pub(crate) fn wait(child: &mut Child, limit: Duration) -> Option<Option<i32>> {
     for _ in 0..limit.as_millis().div_ceil(POLL.as_millis()) {
         if let Some(status) = child.try_wait().expect("a child can be waited for") {
             return Some(status.code());
@@ -77,7 +79,7 @@ fn wait(child: &mut Child, limit: Duration) -> Option<Option<i32>> {
     None
 }
 
-fn drain(mut pipe: impl Read + Send + 'static) -> std::thread::JoinHandle<Vec<u8>> {
+pub(crate) fn drain(mut pipe: impl Read + Send + 'static) -> std::thread::JoinHandle<Vec<u8>> {
     std::thread::spawn(move || {
         let mut bytes = Vec::new();
         pipe.read_to_end(&mut bytes).expect("a pipe can be read");
@@ -85,6 +87,6 @@ fn drain(mut pipe: impl Read + Send + 'static) -> std::thread::JoinHandle<Vec<u8
     })
 }
 
-fn text(reader: std::thread::JoinHandle<Vec<u8>>) -> String {
+pub(crate) fn text(reader: std::thread::JoinHandle<Vec<u8>>) -> String {
     String::from_utf8(reader.join().expect("the reader ends")).expect("programs print UTF-8")
 }

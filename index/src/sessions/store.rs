@@ -120,6 +120,22 @@ impl SessionStore {
         written.and_then(|()| self.must_be_there())
     }
 
+    /// Lets a SQLite file grow to so many pages only: what a full disk does.
+    ///
+    /// # Errors
+    /// What the database refuses.
+    pub fn pages_max(&mut self, pages: u32) -> Result<(), SessionStoreError> {
+        self.within(async |connection| connection.execute(&format!("PRAGMA max_page_count = {pages}"), &[]).await)
+    }
+
+    /// Lets this connection to a SQLite file only read.
+    ///
+    /// # Errors
+    /// What the database refuses.
+    pub fn read_only(&mut self) -> Result<(), SessionStoreError> {
+        self.within(async |connection| connection.execute("PRAGMA query_only = true", &[]).await)
+    }
+
     /// A file that was removed takes writes and forgets them.
     fn must_be_there(&self) -> Result<(), SessionStoreError> {
         match &self.file {

@@ -339,7 +339,7 @@ impl Policy for Foresight {
         self.covered &= state.planned().iter().next().is_some();
     }
 
-    fn budget_changed(&mut self, _state: &ClientState) {
+    fn changed(&mut self, _state: &ClientState) {
         self.read_anew();
     }
 

@@ -151,8 +151,8 @@ pub trait Policy: Send {
     /// its memory to, and what its own request had doomed, is corrected in `state`. Nothing failed.
     fn dropped(&mut self, _state: &ClientState, _rep: RepId, _now: Time) {}
 
-    /// The memory budget has become another.
-    fn budget_changed(&mut self, _state: &ClientState) {}
+    /// The client has changed otherwise: its memory budget is another, or it holds what nobody has told it to fetch.
+    fn changed(&mut self, _state: &ClientState) {}
 
     /// More memory is in use than the budget allows: what to cancel or discard next. Asked instead of
     /// [`Policy::decide`] until it fits. With `None` the scheduler chooses, and tells the policy by [`Policy::dropped`].

@@ -67,7 +67,8 @@ macro_rules! settings {
 }
 
 settings! {
-    /// Worlds to serve: a world directory, a tileset, or a generated world.
+    /// Worlds to serve: a folder, a tileset, a generated world such as city:blocks=20, a city model, an elevation grid;
+    /// NAME=WORLD gives it a name.
     world: Vec<String> = "";
     /// Where to listen; beyond loopback a token is needed.
     listen: SocketAddr = "127.0.0.1:8080";
@@ -113,6 +114,16 @@ settings! {
     client_memory_max: Bytes<1, 1_125_899_906_842_624> = "1TiB";
     /// Most memory of this machine for one session; one that needs more is ended.
     session_memory_max: Bytes<65_536, 17_179_869_184> = "64MiB";
+    /// HTTP connections at a time.
+    connections_max: Whole<1, 1_000_000> = "4096";
+    /// Requests being answered at a time, and contents on their way; further ones are told to come back later.
+    requests_max: Whole<1, 1_000_000> = "4096";
+    /// Time for the head of a request.
+    head_within: Span<10, 600_000> = "10s";
+    /// An HTTP connection on which nothing moves, and on which the server owes nothing, is closed after so long.
+    connection_idle_after: Span<10, 86_400_000> = "1m";
+    /// Memory for small files of worlds.
+    store_bytes: Bytes<0, 1_099_511_627_776> = "256MiB";
     /// Folder for recordings of sessions; none are made if empty.
     record: Option<PathBuf> = "";
     /// Bytes of all recordings in the folder together; then no more is recorded.

@@ -101,11 +101,11 @@ fn argument(setting: &'static Setting) -> Arg {
         return argument.help(help).action(ArgAction::SetTrue);
     }
     let several = if setting.list { "; may be repeated" } else { "" };
-    argument.help(format!("{meaning}{several}{default}")).value_name(word(setting)).action(if setting.list {
-        ArgAction::Append
-    } else {
-        ArgAction::Set
-    })
+    argument
+        .help(format!("{meaning}{several}{default}"))
+        .value_name(word(setting))
+        .num_args(if setting.list { 1..=usize::MAX } else { 1..=1 })
+        .action(if setting.list { ArgAction::Append } else { ArgAction::Set })
 }
 
 /// What stands for the value in the help.

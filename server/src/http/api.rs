@@ -71,8 +71,11 @@ async fn live() -> &'static str {
     get, path = "/health/ready", tag = "operation",
     responses((status = 200, body = String), (status = 503, body = Problem, content_type = "application/problem+json"))
 )]
-async fn ready(State(state): State<Arc<AppState>>) -> Result<&'static str, Problem> {
-    if state.is_ready() { Ok("ready\n") } else { Err(Problem::busy("the server is ending", 5)) }
+async fn ready(State(state): State<Arc<AppState>>) -> Result<String, Problem> {
+    if !state.is_ready() {
+        return Err(Problem::busy("the server is ending", 5));
+    }
+    Ok(state.degraded().map_or_else(|| "ready\n".to_owned(), |why| format!("ready, degraded: {why}\n")))
 }
 
 /// Counters, for Prometheus

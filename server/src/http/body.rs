@@ -157,6 +157,7 @@ impl Streamed {
             let released = transfer.released(self.sent).await;
             allowed = released.bytes.saturating_sub(self.sent);
             if allowed == 0 && released.breaks {
+                transfer.settle().await;
                 return Err(BodyError::Lost);
             }
         }

@@ -12,12 +12,13 @@ use axum::http::request::Parts;
 use axum::http::{Method, StatusCode};
 use axum::response::{IntoResponse, Response};
 use foresight_scheduler::lod_tree::RepId;
-use headers::{HeaderMapExt, IfMatch, IfModifiedSince, IfNoneMatch, IfUnmodifiedSince, LastModified};
+use headers::{HeaderMapExt, IfModifiedSince, IfUnmodifiedSince, LastModified};
 use percent_encoding::percent_decode_str;
 
 use super::body::{Delivery, Source};
 use super::connection::Activity;
 use super::encoding::{self, Coding};
+use super::entity_tag::{self, Comparison};
 use super::media;
 use super::path;
 use super::priority::Priority;
@@ -200,7 +201,7 @@ async fn look_up(state: &AppState, request: &Parts, caching: Caching) -> Result<
         )));
     }
     let address = path::decode(raw).ok_or_else(|| Problem::not_found("no content has such a path"))?;
-    find(state, world, &address, &request.headers).await
+    find(state, world, &address, request, caching).await
 }
 
 /// The file, a coding of it that the client accepts, or the filler.
@@ -208,19 +209,21 @@ async fn find(
     state: &AppState,
     world: &'static HostedWorld,
     address: &str,
-    headers: &HeaderMap,
+    request: &Parts,
+    caching: Caching,
 ) -> Result<Found, Problem> {
+    let headers = &request.headers;
     let rep = || world.representation(address);
     if let Some(files) = world.files() {
         let file = files.file(address);
-        let priority = Priority::of(headers);
+        let how = (Priority::of(headers), caching == Caching::Immutable);
         let accepted = headers.get(header::ACCEPT_ENCODING).and_then(|value| value.to_str().ok());
         for coding in encoding::accepted(accepted.unwrap_or_default()) {
-            if let Some(found) = file_found(state, world, files, &file, Some(coding), priority).await? {
+            if let Some(found) = file_found(state, world, files, &file, Some(coding), how).await? {
                 return Ok(Found { rep: rep(), ..found });
             }
         }
-        if let Some(found) = file_found(state, world, files, &file, None, priority).await? {
+        if let Some(found) = file_found(state, world, files, &file, None, how).await? {
             return Ok(Found { rep: rep(), ..found });
         }
     }
@@ -240,25 +243,16 @@ async fn find(
     })
 }
 
-/// A file of a world, from memory if it is there and unchanged; `None` if there is no such file.
+/// A file of a world, from memory if it is there and unchanged; `None` if there is no such file. `fresh`: not compared with
+/// the disk if that was done a moment ago.
 async fn file_found(
     state: &AppState,
     world: &'static HostedWorld,
     files: &'static Files,
     file: &str,
     coding: Option<Coding>,
-    priority: Priority,
+    (priority, fresh): (Priority, bool),
 ) -> Result<Option<Found>, Problem> {
-    let name = format!("{file}{}", coding.map_or("", Coding::suffix));
-    // Asked of the system here rather than on another thread: a handful of microseconds on a local disk.
-    let Ok(metadata) = files.folder.metadata(&name) else { return Ok(None) };
-    let Ok(modified) = metadata.modified().map(cap_std::time::SystemTime::into_std) else { return Ok(None) };
-    if !metadata.is_file() {
-        return Ok(None);
-    }
-    let length = metadata.len();
-    let place = state.turns.place(priority);
-    let key = Key { world: world.name(), name };
     let found = |stored: &Stored, from| Found {
         source: stored.source.clone(),
         length: stored.length,
@@ -270,12 +264,24 @@ async fn file_found(
         from,
         rep: None,
     };
-    if let Some(stored) = state.store.get(&key, modified, length) {
+    let key = Key { world: world.name(), name: format!("{file}{}", coding.map_or("", Coding::suffix)), coding };
+    if let Some(stored) = fresh.then(|| state.store.fresh(&key, clock::now())).flatten() {
+        state.metrics.store_hits.inc();
+        return Ok(Some(found(&stored, "memory")));
+    }
+    // Asked of the system here rather than on another thread: a handful of microseconds on a local disk.
+    let Ok(metadata) = files.folder.metadata(&key.name) else { return Ok(None) };
+    let Ok(modified) = metadata.modified().map(cap_std::time::SystemTime::into_std) else { return Ok(None) };
+    if !metadata.is_file() {
+        return Ok(None);
+    }
+    if let Some(stored) = state.store.get(&key, modified, metadata.len()) {
         state.metrics.store_hits.inc();
         return Ok(Some(found(&stored, "memory")));
     }
     state.metrics.store_misses.inc();
-    match state.store.load(files, key, file, coding, &state.turns, place).await {
+    let place = state.turns.place(priority);
+    match state.store.load(files, key, file, &state.turns, place).await {
         Ok(stored) => Ok(Some(found(&stored, "disk"))),
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
         Err(error) => {
@@ -357,19 +363,21 @@ fn ascii(text: String) -> HeaderValue {
 
 /// 304 or 412 as RFC 9110, section 13.2.2, orders the conditions.
 fn precondition(asked: &HeaderMap, found: &Found) -> Option<StatusCode> {
-    let etag = || found.etag.to_str().ok().and_then(|text| text.parse::<headers::ETag>().ok());
-    if let Some(condition) = asked.typed_get::<IfMatch>() {
-        if !etag().is_some_and(|etag| condition.precondition_passes(&etag)) {
+    // One of the field's lines holds the tag; `None` without such a field.
+    let holds = |name: HeaderName, comparison| {
+        let mut lines = asked.get_all(name).iter().peekable();
+        lines.peek()?;
+        Some(lines.any(|line| entity_tag::holds(line.as_bytes(), found.etag.as_bytes(), comparison)))
+    };
+    match (holds(header::IF_MATCH, Comparison::Strong), asked.typed_get::<IfUnmodifiedSince>(), found.modified) {
+        (Some(false), ..) => return Some(StatusCode::PRECONDITION_FAILED),
+        (None, Some(condition), Some(modified)) if !condition.precondition_passes(modified) => {
             return Some(StatusCode::PRECONDITION_FAILED);
         }
-    } else if let (Some(condition), Some(modified)) = (asked.typed_get::<IfUnmodifiedSince>(), found.modified)
-        && !condition.precondition_passes(modified)
-    {
-        return Some(StatusCode::PRECONDITION_FAILED);
+        _ => {}
     }
-    if let Some(condition) = asked.typed_get::<IfNoneMatch>() {
-        let passes = etag().is_none_or(|etag| condition.precondition_passes(&etag));
-        return (!passes).then_some(StatusCode::NOT_MODIFIED);
+    if let Some(held) = holds(header::IF_NONE_MATCH, Comparison::Weak) {
+        return held.then_some(StatusCode::NOT_MODIFIED);
     }
     match (asked.typed_get::<IfModifiedSince>(), found.modified) {
         (Some(condition), Some(modified)) if !condition.is_modified(modified) => Some(StatusCode::NOT_MODIFIED),

@@ -1,8 +1,8 @@
 //! Content codings of files that lie compressed beside the plain ones, chosen by `Accept-Encoding` (RFC 9110, section 12.5.3).
 
 /// A coding, better ones first where a client likes several equally.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum Coding {
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Coding {
     /// `br`, in `NAME.br`.
     Brotli,
     /// `zstd`, in `NAME.zst`.
@@ -15,7 +15,7 @@ impl Coding {
     const ALL: [Coding; 3] = [Coding::Brotli, Coding::Zstd, Coding::Gzip];
 
     /// As in `Content-Encoding`.
-    pub(super) fn name(self) -> &'static str {
+    pub fn name(self) -> &'static str {
         match self {
             Coding::Brotli => "br",
             Coding::Zstd => "zstd",
@@ -24,7 +24,7 @@ impl Coding {
     }
 
     /// What the file's name has besides.
-    pub(super) fn suffix(self) -> &'static str {
+    pub fn suffix(self) -> &'static str {
         match self {
             Coding::Brotli => ".br",
             Coding::Zstd => ".zst",
@@ -35,7 +35,7 @@ impl Coding {
 
 /// The codings that a client accepts, the most welcome first, none that it likes less than the plain content. A weight
 /// that is not one counts as 0.
-pub(super) fn accepted(header: &str) -> Vec<Coding> {
+pub fn accepted(header: &str) -> Vec<Coding> {
     let weight = |name: &str| {
         let mut any = None;
         for item in header.split(',') {

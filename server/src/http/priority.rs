@@ -9,17 +9,29 @@ use tokio::sync::oneshot;
 
 /// Urgency 0 (first) to 7 (last), and whether a part of the response is already of use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Priority {
-    pub(super) urgency: u8,
-    pub(super) incremental: bool,
+pub struct Priority {
+    /// 0 to 7.
+    pub urgency: u8,
+    /// A part is of use.
+    pub incremental: bool,
+}
+
+impl Default for Priority {
+    fn default() -> Priority {
+        Priority { urgency: 3, incremental: false }
+    }
 }
 
 impl Priority {
-    /// As the `priority` field says; urgency 3, not incremental, where it says nothing or nothing valid.
+    /// Of a request.
     pub(super) fn of(headers: &HeaderMap) -> Priority {
-        let mut priority = Priority { urgency: 3, incremental: false };
-        let Some(value) = headers.get("priority") else { return priority };
-        let Ok(fields) = Parser::new(value.as_bytes()).parse::<Dictionary>() else { return priority };
+        headers.get("priority").map_or_else(Priority::default, |value| Priority::parse(value.as_bytes()))
+    }
+
+    /// As a `Priority` field says; urgency 3, not incremental, where it says nothing or nothing valid.
+    pub fn parse(field: &[u8]) -> Priority {
+        let mut priority = Priority::default();
+        let Ok(fields) = Parser::new(field).parse::<Dictionary>() else { return priority };
         let item = |key: &str| match fields.get(key) {
             Some(ListEntry::Item(item)) => Some(&item.bare_item),
             _ => None,
@@ -130,9 +142,8 @@ impl Drop for Turn {
 mod tests {
     use super::*;
 
-    fn of(text: &'static str) -> (u8, bool) {
-        let headers = HeaderMap::from_iter([("priority".parse().unwrap(), HeaderValue::from_static(text))]);
-        let priority = Priority::of(&headers);
+    fn of(text: &str) -> (u8, bool) {
+        let priority = Priority::parse(text.as_bytes());
         (priority.urgency, priority.incremental)
     }
 

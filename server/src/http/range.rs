@@ -7,7 +7,7 @@ const RANGES_MAX: usize = 64;
 
 /// What a `Range` header asks of a representation.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) enum Asked {
+pub enum Asked {
     /// All of it: another unit, a malformed header, or several ranges that do not join.
     Whole,
     /// These bytes, not empty.
@@ -18,7 +18,7 @@ pub(super) enum Asked {
 
 /// Reads a `Range` header for a representation of `length` bytes. Several ranges are answered as one if, those beyond the
 /// end left out, together they cover one stretch without a gap; a server may ignore a range that it does not serve.
-pub(super) fn parse(header: &[u8], length: u64) -> Asked {
+pub fn parse(header: &[u8], length: u64) -> Asked {
     let Some(set) = std::str::from_utf8(header).ok().and_then(bytes_unit) else { return Asked::Whole };
     let mut parts: Vec<Range<u64>> = Vec::new();
     for (index, spec) in set.split(',').enumerate() {

@@ -1,7 +1,7 @@
 //! What all requests share.
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
 
 use foresight_traces::link::LinkTrace;
 use prometheus_client::registry::Registry;
@@ -26,6 +26,7 @@ pub struct AppState {
     /// Limits.
     pub limits: Limits,
     ready: AtomicBool,
+    degraded: OnceLock<Box<dyn Fn() -> Option<String> + Send + Sync>>,
     pub(super) store: Store,
     pub(super) turns: Arc<Turns>,
     pub(super) requests: Arc<Semaphore>,
@@ -47,6 +48,7 @@ impl AppState {
             links: link.map(|trace| Links::new(trace, sessions_max)),
             metrics: Arc::new(Metrics::new(others)),
             ready: AtomicBool::new(true),
+            degraded: OnceLock::new(),
             store: Store::new(limits.store_bytes),
             turns: Turns::new(limits.reads),
             requests: Arc::new(Semaphore::new(limits.requests)),
@@ -69,6 +71,16 @@ impl AppState {
     /// Whether new clients are welcome; not any more once the server is ending.
     pub fn is_ready(&self) -> bool {
         self.ready.load(Ordering::Relaxed)
+    }
+
+    /// What is not as it should be, though the server goes on.
+    pub fn degraded(&self) -> Option<String> {
+        self.degraded.get().and_then(|degraded| degraded())
+    }
+
+    /// Who knows what is not as it should be; once.
+    pub fn tell_degraded(&self, degraded: impl Fn() -> Option<String> + Send + Sync + 'static) {
+        let _ = self.degraded.set(Box::new(degraded));
     }
 
     /// Tells load balancers to send nobody any more.

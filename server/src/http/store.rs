@@ -3,7 +3,8 @@
 use std::hash::{Hash, Hasher};
 use std::io::Read;
 use std::sync::Arc;
-use std::time::SystemTime;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant, SystemTime};
 
 use axum::http::HeaderValue;
 use bytes::Bytes;
@@ -14,17 +15,22 @@ use super::encoding::Coding;
 use super::media;
 use super::priority::{Place, Turns};
 use super::worlds::Files;
+use crate::clock;
 
 /// Largest file that is kept in memory, bytes.
 pub const KEPT_BYTES_MAX: u64 = 2 << 20;
+/// For so long what lies under an address that never changes is not compared with the disk again.
+pub const FRESH: Duration = Duration::from_secs(1);
 /// What an entry takes besides its content, bytes, roughly.
 const ENTRY_BYTES: u64 = 512;
 
-/// A file of a world; its name with the ending of its coding.
+/// A file of a world as it is served; its name with the ending of its coding.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Key {
     pub(super) world: &'static str,
     pub(super) name: String,
+    /// `None` for the file under its own name, which may have such an ending too.
+    pub(super) coding: Option<Coding>,
 }
 
 impl Hash for Key {
@@ -32,6 +38,7 @@ impl Hash for Key {
         // A world's name lives at one place for as long as the process.
         self.world.as_ptr().hash(state);
         self.name.hash(state);
+        self.coding.hash(state);
     }
 }
 
@@ -43,6 +50,8 @@ pub(super) struct Stored {
     pub(super) modified: SystemTime,
     pub(super) etag: HeaderValue,
     pub(super) media_type: HeaderValue,
+    /// When it was last compared with the disk, ns of the store's time.
+    checked_ns: AtomicU64,
     /// gzip, if the file is stored so under its plain name, as tilesets often are.
     pub(super) inner_coding: Option<Coding>,
 }
@@ -59,17 +68,28 @@ impl Weighter<Key, Arc<Stored>> for ByBytes {
 /// Files in memory, at most so many bytes; those used least go first.
 pub struct Store {
     kept: Cache<Key, Arc<Stored>, ByBytes>,
+    begun: Instant,
 }
 
 impl Store {
     /// With room for `bytes`.
     pub fn new(bytes: u64) -> Store {
-        Store { kept: Cache::with_weighter(usize::try_from(bytes >> 14).unwrap_or(0).max(16), bytes, ByBytes) }
+        let entries = usize::try_from(bytes >> 14).unwrap_or(0).max(16);
+        Store { kept: Cache::with_weighter(entries, bytes, ByBytes), begun: clock::now() }
+    }
+
+    /// The file if it is in memory and was compared with the disk less than [`FRESH`] before `now`.
+    pub(super) fn fresh(&self, key: &Key, now: Instant) -> Option<Arc<Stored>> {
+        let now = clock::nanos(self.begun, now);
+        let age = |stored: &Stored| now.saturating_sub(stored.checked_ns.load(Ordering::Relaxed));
+        self.kept.get(key).filter(|stored| u128::from(age(stored)) < FRESH.as_nanos())
     }
 
     /// The file if it is in memory and has still this date and length.
     pub(super) fn get(&self, key: &Key, modified: SystemTime, length: u64) -> Option<Arc<Stored>> {
-        self.kept.get(key).filter(|stored| stored.modified == modified && stored.length == length)
+        let stored = self.kept.get(key).filter(|stored| stored.modified == modified && stored.length == length)?;
+        stored.checked_ns.store(clock::nanos(self.begun, clock::now()), Ordering::Relaxed);
+        Some(stored)
     }
 
     /// Opens the file, and keeps it if it is small. `plain` is its name without the ending of its coding.
@@ -78,16 +98,18 @@ impl Store {
         files: &'static Files,
         key: Key,
         plain: &str,
-        coding: Option<Coding>,
         turns: &Arc<Turns>,
         place: Place,
     ) -> std::io::Result<Arc<Stored>> {
         let media_type = media::of(plain);
-        let name = key.name.clone();
+        let (name, coding) = (key.name.clone(), key.coding);
+        let asked_at = clock::now();
         let turn = turns.turn(place).await;
         let read = tokio::task::spawn_blocking(move || read(files, &name, media_type, coding));
-        let stored = Arc::new(read.await.map_err(std::io::Error::other)??);
+        let mut stored = read.await.map_err(std::io::Error::other)??;
         drop(turn);
+        *stored.checked_ns.get_mut() = clock::nanos(self.begun, asked_at);
+        let stored = Arc::new(stored);
         if matches!(stored.source, Source::Memory(_)) {
             self.kept.insert(key, stored.clone());
         }
@@ -115,7 +137,7 @@ fn read(files: &Files, name: &str, media_type: HeaderValue, coding: Option<Codin
         source = Source::File(Arc::new(file));
     }
     let etag = etag(modified, length, coding);
-    Ok(Stored { source, length, modified, etag, media_type, inner_coding })
+    Ok(Stored { source, length, modified, etag, media_type, checked_ns: AtomicU64::new(0), inner_coding })
 }
 
 /// gzip, if that is what the content begins with and its name does not say.

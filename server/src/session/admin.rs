@@ -37,8 +37,8 @@ fn state(host: &Host) -> Json<SwitchState> {
     get, path = "/admin/driving", tag = "admin",
     responses(
         (status = 200, description = "How it stands", body = SwitchState),
-        (status = 401, description = "Without the token", body = Problem),
-        (status = 403, description = "From a page of another origin", body = Problem),
+        (status = 401, description = "Without the token", body = Problem, content_type = "application/problem+json"),
+        (status = 403, description = "From a page of another origin", body = Problem, content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn driving(State(host): State<Arc<Host>>) -> Json<SwitchState> {
@@ -50,13 +50,13 @@ pub(super) async fn driving(State(host): State<Arc<Host>>) -> Json<SwitchState> 
     post, path = "/admin/driving", tag = "admin", request_body = Driving,
     responses(
         (status = 200, description = "How it stands now", body = SwitchState),
-        (status = 400, description = "No JSON", body = Problem),
-        (status = 401, description = "Without the token", body = Problem),
-        (status = 403, description = "From a page of another origin", body = Problem),
-        (status = 404, description = "No such world", body = Problem),
-        (status = 413, description = "Too large", body = Problem),
-        (status = 415, description = "Not application/json", body = Problem),
-        (status = 422, description = "Not what was expected", body = Problem),
+        (status = 400, description = "No JSON", body = Problem, content_type = "application/problem+json"),
+        (status = 401, description = "Without the token", body = Problem, content_type = "application/problem+json"),
+        (status = 403, description = "From a page of another origin", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "No such world", body = Problem, content_type = "application/problem+json"),
+        (status = 413, description = "Too large", body = Problem, content_type = "application/problem+json"),
+        (status = 415, description = "Not application/json", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "Not what was expected", body = Problem, content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn set_driving(

@@ -8,13 +8,15 @@ use super::recorder::Recorder;
 use super::worker::Worker;
 use crate::clock;
 use crate::config::Config;
-use crate::http::worlds::{HostedWorld, Worlds};
+use crate::http::shaping::Links;
+use crate::http::state::AppState;
+use crate::http::worlds::HostedWorld;
 use foresight_scheduler::lod_tree::RepId;
 use foresight_wire::message::{Error, ErrorCode, Hello};
 use foresight_wire::session::{SessionLimits, SessionWorld};
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::IpAddr;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
@@ -35,15 +37,19 @@ pub struct Host {
     sessions: Mutex<Sessions>,
     switch: Mutex<Switch>,
     stopping: AtomicBool,
+    /// Connections by WebSocket.
+    sockets: AtomicUsize,
+    http: Arc<AppState>,
 }
 
 #[derive(Debug, Default)]
 struct Sessions {
     by_id: BTreeMap<String, Arc<Handle>>,
-    /// Sessions, and connections that have not said hello, of each address.
+    /// How many each address has.
     of_address: BTreeMap<IpAddr, usize>,
-    /// Connections that have not said hello.
-    strangers: usize,
+    /// Connections that have not said hello, of each address; limited like sessions, but apart from them: those who come
+    /// back to a session find the way in also when no other is to be had.
+    strangers: BTreeMap<IpAddr, usize>,
     begun: u64,
 }
 
@@ -94,6 +100,15 @@ pub(super) struct Stranger {
     address: IpAddr,
 }
 
+/// A WebSocket.
+pub(super) struct Socket(Arc<Host>);
+
+impl Drop for Socket {
+    fn drop(&mut self) {
+        self.0.sockets.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
 impl std::fmt::Debug for Host {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Host").field("config", &self.config).finish_non_exhaustive()
@@ -102,19 +117,16 @@ impl std::fmt::Debug for Host {
 
 impl Drop for Stranger {
     fn drop(&mut self) {
-        let mut sessions = self.host.sessions();
-        sessions.strangers = sessions.strangers.saturating_sub(1);
-        sessions.leave(self.address);
+        leave(&mut self.host.sessions().strangers, self.address);
     }
 }
 
-impl Sessions {
-    fn leave(&mut self, address: IpAddr) {
-        if let Some(count) = self.of_address.get_mut(&address) {
-            *count -= 1;
-            if *count == 0 {
-                self.of_address.remove(&address);
-            }
+/// One less of an address.
+fn leave(of_address: &mut BTreeMap<IpAddr, usize>, address: IpAddr) {
+    if let Some(count) = of_address.get_mut(&address) {
+        *count -= 1;
+        if *count == 0 {
+            of_address.remove(&address);
         }
     }
 }
@@ -124,7 +136,8 @@ impl Host {
     ///
     /// # Errors
     /// A configuration that does not fit the worlds, a folder that cannot be used, no threads.
-    pub fn start(config: Config, worlds: &Worlds, metrics: SessionMetrics) -> Result<Arc<Host>, HostError> {
+    pub fn start(config: Config, http: Arc<AppState>, metrics: SessionMetrics) -> Result<Arc<Host>, HostError> {
+        let worlds = &http.worlds;
         let missing = config.not_driven.iter().find(|name| worlds.get(name).is_none());
         if let Some(name) = missing {
             return Err(HostError::NoWorld(name.clone()));
@@ -145,13 +158,13 @@ impl Host {
             config.database.clone().map(|location| Estimates::start(location, metrics.clone())).transpose()?;
         let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
         let threads: Vec<Arc<Thread>> =
-            (0..config.decision_threads(cores)).map(|_| Arc::new(Thread::default())).collect();
+            (0..config.decision_threads(cores)).map(|_| Arc::new(Thread::new(metrics.waiting.clone()))).collect();
         metrics.driving.set(i64::from(config.driving));
         let host = Arc::new(Host {
             limits,
             recorder,
             estimates,
-            worlds: worlds.iter().map(|world| (world.name(), (world, session_world(world)))).collect(),
+            worlds: http.worlds.iter().map(|world| (world.name(), (world, session_world(world)))).collect(),
             threads,
             workers: Mutex::default(),
             sessions: Mutex::default(),
@@ -160,6 +173,8 @@ impl Host {
                 not_driven: config.not_driven.iter().cloned().collect(),
             }),
             stopping: AtomicBool::new(false),
+            sockets: AtomicUsize::new(0),
+            http,
             metrics,
             config,
         });
@@ -180,9 +195,8 @@ impl Host {
     pub(super) fn stranger(self: &Arc<Host>, address: IpAddr) -> Result<Stranger, Error> {
         self.must_run()?;
         let mut sessions = self.sessions();
-        self.must_have_room(&sessions, address)?;
-        sessions.strangers += 1;
-        *sessions.of_address.entry(address).or_default() += 1;
+        self.must_have_room(sessions.strangers.values().sum(), &sessions.strangers, address)?;
+        *sessions.strangers.entry(address).or_default() += 1;
         Ok(Stranger { host: self.clone(), address })
     }
 
@@ -194,9 +208,9 @@ impl Host {
         Ok(())
     }
 
-    fn must_have_room(&self, sessions: &Sessions, address: IpAddr) -> Result<(), Error> {
+    fn must_have_room(&self, all: usize, of_address: &BTreeMap<IpAddr, usize>, address: IpAddr) -> Result<(), Error> {
         let most = self.config.sessions_max.count();
-        if sessions.by_id.len() + sessions.strangers >= most {
+        if all >= most {
             self.metrics.refused("sessions");
             return Err(refusal(
                 ErrorCode::Limit,
@@ -204,7 +218,7 @@ impl Host {
             ));
         }
         let most = self.config.sessions_per_address_max.count();
-        if sessions.of_address.get(&address).copied().unwrap_or(0) >= most {
+        if of_address.get(&address).copied().unwrap_or(0) >= most {
             self.metrics.refused("sessions_of_address");
             let message = format!("{most} sessions of this address are open; expected fewer: try again later");
             return Err(refusal(ErrorCode::Limit, message));
@@ -240,10 +254,8 @@ impl Host {
         }
         let id = new_id().ok_or_else(|| refusal(ErrorCode::Internal, "the system gives no random numbers"))?;
         self.must_run()?;
-        // Its place becomes the session's.
-        drop(stranger);
         let mut sessions = self.sessions();
-        self.must_have_room(&sessions, address)?;
+        self.must_have_room(sessions.by_id.len(), &sessions.of_address, address)?;
         sessions.begun += 1;
         let thread = self.threads.iter().min_by_key(|thread| Arc::strong_count(thread)).unwrap_or(&self.threads[0]);
         let room = ROOM_FRAMES * self.config.message_bytes_max.length();
@@ -252,6 +264,9 @@ impl Host {
         *sessions.of_address.entry(address).or_default() += 1;
         sessions.by_id.insert(id, session.clone());
         drop(sessions);
+        if let Some(links) = self.links() {
+            links.open(&session.id);
+        }
         self.metrics.opened.inc();
         self.metrics.active.inc();
         session.post(Item::Open { hello, outgoing });
@@ -261,6 +276,17 @@ impl Host {
     /// The session of an id.
     pub(super) fn find(&self, id: &str) -> Option<Arc<Handle>> {
         self.sessions().by_id.get(id).cloned()
+    }
+
+    /// The links by which sessions' responses are shaped.
+    pub(super) fn links(&self) -> Option<&Links> {
+        self.http.links.as_ref()
+    }
+
+    /// Counts a WebSocket until what this gives is dropped.
+    pub(super) fn socket(self: &Arc<Host>) -> Socket {
+        self.sockets.fetch_add(1, Ordering::Relaxed);
+        Socket(self.clone())
     }
 
     /// The world of a session.
@@ -273,8 +299,12 @@ impl Host {
         session.close();
         let mut sessions = self.sessions();
         if sessions.by_id.remove(&session.id).is_some() {
-            sessions.leave(session.address);
+            leave(&mut sessions.of_address, session.address);
+            drop(sessions);
             self.metrics.active.dec();
+            if let Some(links) = self.links() {
+                links.close(&session.id);
+            }
         }
     }
 
@@ -321,12 +351,6 @@ impl Host {
         self.estimates.as_ref().and_then(Estimates::fault)
     }
 
-    /// Updates what is counted only when asked for.
-    pub fn measure(&self) {
-        let waiting: usize = self.threads.iter().map(|thread| thread.length()).sum();
-        self.metrics.waiting.set(i64::try_from(waiting).unwrap_or(i64::MAX));
-    }
-
     /// Tells all sessions that the server is going, closes recordings and writes estimates, within a time; false if that
     /// was not enough.
     pub async fn stop(&self, within: Duration) -> bool {
@@ -336,7 +360,7 @@ impl Host {
             session.post(Item::End("shutdown"));
         }
         let closing = async {
-            while !self.sessions().by_id.is_empty() {
+            while !self.sessions().by_id.is_empty() || self.sockets.load(Ordering::Relaxed) > 0 {
                 tokio::time::sleep(Duration::from_millis(5)).await;
             }
             self.threads.iter().for_each(|thread| thread.stop());

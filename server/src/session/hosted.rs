@@ -33,6 +33,8 @@ pub(super) struct Hosted {
     observed: Instant,
     looked: Instant,
     memory: usize,
+    /// A view has come: its link's time has begun.
+    viewed: bool,
     frames: u64,
     decisions: u64,
     longest: Duration,
@@ -84,13 +86,14 @@ impl Hosted {
             observed: now,
             looked: now,
             memory: 0,
+            viewed: false,
             frames: 0,
             decisions: 0,
             longest: Duration::ZERO,
         };
         host.metrics.connected.inc();
         tracing::info!(
-            session = %handle.id, world = handle.world.name(), address = %handle.address, client = ?hello.client,
+            session = handle.short(), world = handle.world.name(), address = %handle.address, client = ?hello.client,
             mode = ?hello.mode, policy = ?hosted.session.policy(), memory_bytes = hello.memory_bytes,
             resident = hello.resident.len(), "session begins"
         );
@@ -150,7 +153,7 @@ impl Hosted {
         host.metrics.resumed.inc();
         let received_ns = self.nanos(at);
         let answers = self.session.resume(received_ns, hello);
-        tracing::debug!(session = %self.handle.id, "session goes on");
+        tracing::debug!(session = self.handle.short(), "session goes on");
         let state = self.session.state();
         self.ledger.resumed(&hello.resident, |rep| state.requests().iter().any(|request| request.rep == rep));
         self.answer(received_ns, Input::Resume { hello: Cow::Owned(hello.clone()) }, answers, Some(at));
@@ -177,7 +180,18 @@ impl Hosted {
         self.ledger.reported(&frame.messages);
         let finished = self.session.finished();
         let viewed = frame.messages.iter().any(|message| matches!(message, ClientMessage::View(_)));
+        if viewed && !self.viewed {
+            self.viewed = true;
+            if let Some(links) = host.links() {
+                links.begin(&self.handle.id, frame.at);
+            }
+        }
         let input = Input::Frame { messages: Cow::Owned(frame.messages) };
+        if viewed && answers.is_empty() {
+            // Decided, and nothing new to say.
+            let took = clock::now().saturating_duration_since(frame.at);
+            host.metrics.view_to_decision.observe(took.as_secs_f64());
+        }
         self.answer(received_ns, input, answers, viewed.then_some(frame.at));
         if finished { Err(Over::because("bye")) } else { Ok(()) }
     }
@@ -272,7 +286,7 @@ impl Hosted {
             // Messages hold no number that JSON has not.
             recording.line(move || entry.line().unwrap_or_default());
         }
-        if answers.is_empty() && received.is_none() {
+        if answers.is_empty() {
             return;
         }
         if let Some(outgoing) = &self.outgoing {
@@ -297,13 +311,25 @@ impl Hosted {
         let link = self.session.link();
         let figures = self.ledger.end();
         tracing::info!(
-            session = %self.handle.id, world = self.handle.world.name(), reason = over.reason,
+            session = self.handle.short(),
+            world = self.handle.world.name(),
+            reason = over.reason,
             seconds = now.saturating_duration_since(self.handle.began).as_secs_f64(),
-            frames = self.frames, decisions = self.decisions, longest_decision_ms = self.longest.as_secs_f64() * 1e3,
-            requests = figures.requests, completed = figures.completed, cancelled = figures.cancelled,
-            failed = figures.failed, discards = figures.discards, completed_bytes = figures.completed_bytes,
-            wasted_bytes = figures.wasted_bytes, memory_bytes = self.memory,
-            clock_jumps = self.session.clock_jumps(), rate = link.rate, latency_s = link.latency_s, "session ends"
+            frames = self.frames,
+            decisions = self.decisions,
+            longest_decision_ms = self.longest.as_secs_f64() * 1e3,
+            requests = figures.requests,
+            completed = figures.completed,
+            cancelled = figures.cancelled,
+            failed = figures.failed,
+            discards = figures.discards,
+            completed_bytes = figures.completed_bytes,
+            wasted_bytes = figures.wasted_bytes,
+            memory_bytes = self.memory,
+            clock_jumps = self.session.clock_jumps(),
+            rate = link.rate,
+            latency_s = link.latency_s,
+            "session ends"
         );
     }
 }

@@ -9,6 +9,7 @@ use super::outgoing::Outgoing;
 use super::stream::Events;
 use crate::http::worlds::HostedWorld;
 use foresight_wire::message::{ClientMessage, Hello};
+use prometheus_client::metrics::gauge::Gauge;
 use std::collections::VecDeque;
 use std::net::IpAddr;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -109,6 +110,11 @@ impl Handle {
             room,
             room_bytes,
         }
+    }
+
+    /// The beginning of the id, for the log: the whole would let its readers speak for the client.
+    pub(super) fn short(&self) -> &str {
+        self.id.get(..8).unwrap_or_default()
     }
 
     fn mail(&self) -> MutexGuard<'_, Mail> {
@@ -227,10 +233,12 @@ impl Frame {
 }
 
 /// A decision thread as others know it: the sessions that have something for it to do.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Thread {
     waiting: Mutex<Waiting>,
     changed: Condvar,
+    /// Sessions that wait for their turn, on all threads.
+    gauge: Gauge,
 }
 
 #[derive(Debug, Default)]
@@ -251,12 +259,17 @@ pub(super) enum Next {
 }
 
 impl Thread {
+    pub(super) fn new(gauge: Gauge) -> Thread {
+        Thread { waiting: Mutex::default(), changed: Condvar::new(), gauge }
+    }
+
     fn waiting(&self) -> MutexGuard<'_, Waiting> {
         self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn push(&self, session: Arc<Handle>) {
         self.waiting().sessions.push_back(session);
+        self.gauge.inc();
         self.changed.notify_one();
     }
 
@@ -266,16 +279,12 @@ impl Thread {
         self.changed.notify_one();
     }
 
-    /// Sessions that wait for their turn.
-    pub(super) fn length(&self) -> usize {
-        self.waiting().sessions.len()
-    }
-
     /// The next session, or that `until` has come.
     pub(super) fn next(&self, until: Option<Instant>) -> Next {
         let mut waiting = self.waiting();
         loop {
             if let Some(session) = waiting.sessions.pop_front() {
+                self.gauge.dec();
                 return Next::Session(session);
             }
             if waiting.stopped {
@@ -292,5 +301,106 @@ impl Thread {
                 }
             };
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use foresight_wire::message::{Event, Views};
+
+    fn session(number: u64, thread: &Arc<Thread>) -> Arc<Handle> {
+        let world = Box::leak(Box::new(HostedWorld::open("w=city:blocks=1").expect("a world")));
+        let address = IpAddr::from([127, 0, 0, 1]);
+        Arc::new(Handle::new((number.to_string(), number), world, address, crate::clock::now(), thread.clone(), 8192))
+    }
+
+    fn view(t_ns: u64) -> ClientMessage {
+        ClientMessage::View(Views { t_ns, cameras: Vec::new() })
+    }
+
+    fn completed(rep: u32) -> ClientMessage {
+        ClientMessage::Completed(Event { t_ns: 0, rep })
+    }
+
+    fn frame(at: Instant, messages: Vec<ClientMessage>) -> Item {
+        Item::Frame(Frame { at, messages, room: None })
+    }
+
+    fn messages(turn: &Turn) -> Vec<ClientMessage> {
+        let frames =
+            turn.items.iter().filter_map(|item| if let Item::Frame(frame) = item { Some(frame) } else { None });
+        frames.flat_map(|frame| frame.messages.clone()).collect()
+    }
+
+    #[test]
+    fn frames_in_time_are_worked_off_one_by_one() {
+        let thread = Arc::new(Thread::new(Gauge::default()));
+        let (session, now) = (session(1, &thread), crate::clock::now());
+        for t_ns in 0..3 {
+            assert!(session.post(frame(now, vec![view(t_ns), completed(t_ns as u32)])));
+        }
+        for t_ns in 0..3 {
+            assert!(matches!(thread.next(Some(now)), Next::Session(next) if next.number == 1));
+            let turn = session.turn(now, 100);
+            assert_eq!((messages(&turn), turn.merged), (vec![view(t_ns), completed(t_ns as u32)], 0));
+        }
+        assert!(matches!(thread.next(Some(now)), Next::Timer));
+    }
+
+    #[test]
+    fn late_frames_are_merged_without_their_older_views_and_with_all_events() {
+        let thread = Arc::new(Thread::new(Gauge::default()));
+        let (session, now) = (session(1, &thread), crate::clock::now());
+        for t_ns in 0..4 {
+            session.post(frame(now, vec![completed(t_ns as u32), view(t_ns)]));
+        }
+        session.post(Item::Driving(false));
+        session.post(frame(now, vec![view(9)]));
+        let later = now + 2 * MERGE_AFTER;
+        let turn = session.turn(later, 100);
+        assert_eq!(messages(&turn), [completed(0), completed(1), completed(2), completed(3), view(3)]);
+        assert_eq!(turn.merged, 3);
+        let turn = session.turn(later, 100);
+        assert!(matches!(turn.items[..], [Item::Driving(false), Item::Frame(_)]), "{turn:?}");
+        // No more than a frame may hold.
+        for t_ns in 0..4 {
+            session.post(frame(now, vec![completed(t_ns as u32); 2]));
+        }
+        assert_eq!(messages(&session.turn(later, 5)).len(), 4);
+    }
+
+    #[test]
+    fn sessions_take_turns_whatever_they_send() {
+        let thread = Arc::new(Thread::new(Gauge::default()));
+        let (greedy, modest, now) = (session(1, &thread), session(2, &thread), crate::clock::now());
+        for _ in 0..100 {
+            greedy.post(frame(now, vec![view(0)]));
+        }
+        modest.post(frame(now, vec![view(0)]));
+        let mut order = Vec::new();
+        for _ in 0..3 {
+            let Next::Session(next) = thread.next(Some(now)) else { panic!("a session waits") };
+            order.push(next.number);
+            next.turn(now, 100);
+        }
+        assert_eq!(order, [1, 2, 1]);
+        greedy.close();
+        assert!(!greedy.post(frame(now, Vec::new())));
+    }
+
+    #[tokio::test]
+    async fn a_full_mailbox_holds_its_own_connection_back() {
+        let thread = Arc::new(Thread::new(Gauge::default()));
+        let session = session(1, &thread);
+        let first = session.room(6000).await.expect("room");
+        assert!(session.room_now(6000).is_none());
+        drop(first);
+        // What is larger than the room takes all of it.
+        let all = session.room(1 << 30).await.expect("room");
+        assert!(session.room_now(1).is_none());
+        drop(all);
+        session.close();
+        assert!(session.room(1).await.is_none());
     }
 }

@@ -106,8 +106,21 @@ impl Default for SessionMetrics {
 }
 
 impl SessionMetrics {
-    /// Adds all of them to a registry.
+    /// Adds all of them to a registry. Reasons that deserve an alarm are there from the start, at 0, so that the first
+    /// occurrence is an increase.
     pub fn register(&self, registry: &mut Registry) {
+        let families = [
+            (&self.ended, &["bye", "deleted", "fault", "memory", "not_resumed", "shutdown"][..]),
+            (&self.refused, &["hello", "no_hello", "sessions", "sessions_of_address", "shutdown", "world"]),
+            (&self.connections_closed, &["idle", "malformed", "rate", "slow", "stuck", "too_large"]),
+            (&self.recordings_cut_short, &["disk", "limit", "queue_full"]),
+            (&self.database_errors, &["damaged", "full", "gone", "locked", "no_answer", "read_only", "refused"]),
+        ];
+        for (family, reasons) in families {
+            for reason in reasons {
+                drop(family.get_or_create(&ReasonLabel { reason }));
+            }
+        }
         let m = self.clone();
         registry.register("sessions_active", "Sessions held, with or without a connection", m.active);
         registry.register("sessions_connected", "Sessions whose answers somebody reads", m.connected);
@@ -148,7 +161,7 @@ impl SessionMetrics {
         registry.register_with_unit("session_memory", "Memory of all sessions, estimated", Unit::Bytes, m.memory_bytes);
         registry.register_with_unit(
             "view_to_decision",
-            "From a frame's receipt until its answer is handed to the socket",
+            "From a view's receipt until its answer is handed to the socket, or nothing is found to be said",
             Unit::Seconds,
             m.view_to_decision,
         );

@@ -22,21 +22,23 @@ mod worker;
 
 pub use host::{Host, HostError};
 
-use axum::Router;
 use axum::extract::DefaultBodyLimit;
-use axum::routing::{any, delete, get, post};
+use axum::routing::any;
 use std::sync::Arc;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
 
-/// The addresses of sessions and of the switch.
-pub fn routes(host: Arc<Host>) -> Router {
+/// The addresses of sessions and of the switch. The one of WebSockets is not in the OpenAPI document, which has no words for
+/// it.
+pub fn routes(host: Arc<Host>) -> OpenApiRouter {
     let most = host.config.message_bytes_max.length();
-    Router::new()
-        .route("/sessions", post(stream::open))
+    OpenApiRouter::new()
+        .routes(routes!(stream::open))
         .route("/sessions/socket", any(socket::socket))
-        .route("/sessions/{id}", delete(stream::close))
-        .route("/sessions/{id}/frames", post(stream::frames))
-        .route("/sessions/{id}/events", get(stream::events))
-        .route("/admin/driving", get(admin::driving).post(admin::set_driving))
+        .routes(routes!(stream::close))
+        .routes(routes!(stream::frames))
+        .routes(routes!(stream::events))
+        .routes(routes!(admin::driving, admin::set_driving))
         .layer(DefaultBodyLimit::max(most))
         .with_state(host)
 }

@@ -10,7 +10,9 @@ use tokio::sync::Notify;
 pub(super) struct Outgoing {
     state: Mutex<State>,
     changed: Notify,
-    /// Messages that may wait.
+    /// More wait than may.
+    full: Notify,
+    /// Messages that may wait before further ones come.
     most: usize,
 }
 
@@ -44,25 +46,33 @@ pub(super) struct Batch {
 
 impl Outgoing {
     pub(super) fn new(most: usize) -> Outgoing {
-        Outgoing { state: Mutex::default(), changed: Notify::new(), most }
+        Outgoing { state: Mutex::default(), changed: Notify::new(), full: Notify::new(), most }
     }
 
-    /// Adds answers to a frame received then, or to none. False if the connection was closed, or is now because more wait
-    /// than may: then what waits is let go.
+    /// Adds answers to a frame received then, or to none. False if the connection was closed, or is now because more waited
+    /// already than may: then what waits is let go. The answers to one frame always fit.
     pub(super) fn push(&self, messages: Vec<ServerMessage>, received: Option<Instant>) -> bool {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         if state.closed.is_some() {
+            return false;
+        }
+        if state.messages.len() > self.most {
+            let message =
+                format!("{} answers wait for this connection; expected at most {}", state.messages.len(), self.most);
+            let error = Error { code: ErrorCode::Limit, message, fatal: true };
+            self.full.notify_one();
+            *state = State { closed: Some(Closed { error: Some(error), reason: "slow" }), ..State::default() };
+            drop(state);
+            self.changed.notify_one();
             return false;
         }
         for message in messages {
             let superseded = |old: &ServerMessage| match message {
                 ServerMessage::Wait { .. } => matches!(old, ServerMessage::Wait { .. }),
                 ServerMessage::Estimates(_) => matches!(old, ServerMessage::Estimates(_)),
-                // The client hears of a wait only where nothing is to be done after it.
-                ServerMessage::Fetch(_) => matches!(old, ServerMessage::Wait { .. }),
                 _ => false,
             };
-            if !matches!(message, ServerMessage::Error(_)) {
+            if matches!(message, ServerMessage::Wait { .. } | ServerMessage::Estimates(_)) {
                 state.messages.retain(|old| !superseded(old));
             }
             state.messages.push(message);
@@ -70,16 +80,9 @@ impl Outgoing {
         if state.answered.len() < self.most {
             state.answered.extend(received);
         }
-        if state.messages.len() > self.most {
-            let message =
-                format!("{} answers wait for this connection; expected at most {}", state.messages.len(), self.most);
-            let error = Error { code: ErrorCode::Limit, message, fatal: true };
-            *state = State { closed: Some(Closed { error: Some(error), reason: "slow" }), ..State::default() };
-        }
-        let open = state.closed.is_none();
         drop(state);
         self.changed.notify_one();
-        open
+        true
     }
 
     /// Ends it after what waits.
@@ -88,6 +91,11 @@ impl Outgoing {
         state.closed.get_or_insert(Closed { error, reason });
         drop(state);
         self.changed.notify_one();
+    }
+
+    /// Waits until more wait than may.
+    pub(super) async fn overflow(&self) {
+        self.full.notified().await;
     }
 
     /// Waits for something to send. After [`Batch::closed`] there is nothing more.
@@ -128,10 +136,10 @@ mod tests {
     #[tokio::test]
     async fn too_many_close_it_with_a_reason() {
         let outgoing = Outgoing::new(16);
-        for rep in 0..16 {
+        for rep in 0..17 {
             assert!(outgoing.push(vec![ServerMessage::Cancel { rep }], None));
         }
-        assert!(!outgoing.push(vec![ServerMessage::Cancel { rep: 16 }], None));
+        assert!(!outgoing.push(vec![ServerMessage::Cancel { rep: 17 }], None));
         assert!(!outgoing.push(vec![wait(1)], None));
         let batch = outgoing.next().await;
         assert!(batch.messages.is_empty());

@@ -120,6 +120,7 @@ impl Limits {
 }
 
 async fn converse(host: Arc<Host>, stranger: Stranger, socket: WebSocket, encoding: Encoding) {
+    let _counted = host.socket();
     let (mut sink, mut stream) = socket.split();
     let mut limits = Limits::new(&host);
     let outgoing = Arc::new(Outgoing::new(host.config.answers_max.count()));
@@ -135,6 +136,8 @@ async fn converse(host: Arc<Host>, stranger: Stranger, socket: WebSocket, encodi
         tokio::select! {
             reason = &mut writing => reason,
             reason = &mut reading => timeout(LAST_WORDS, writing).await.unwrap_or(reason),
+            // A client that does not read may not take even this.
+            () = outgoing.overflow() => timeout(LAST_WORDS, writing).await.unwrap_or("slow"),
         }
     };
     host.metrics.connections_closed.get_or_create(&ReasonLabel { reason }).inc();
@@ -252,9 +255,10 @@ async fn next(
         let message = format!("too much was sent; expected at most {frames} frames and {bytes} bytes a second");
         return Err(End::told("rate", ErrorCode::Limit, message));
     }
+    let most = host.config.message_bytes_max.length();
     let read = match (&message, encoding) {
-        (Message::Text(text), Encoding::Json) => encoding.read::<ClientMessage>(text.as_bytes()),
-        (Message::Binary(data), Encoding::MessagePack) => encoding.read::<ClientMessage>(data),
+        (Message::Text(text), Encoding::Json) => encoding.read_at_most::<ClientMessage>(text.as_bytes(), most),
+        (Message::Binary(data), Encoding::MessagePack) => encoding.read_at_most::<ClientMessage>(data, most),
         (Message::Text(_) | Message::Binary(_), _) => {
             host.metrics.frames_malformed.inc();
             let expected = if encoding == Encoding::Json { "text frames" } else { "binary frames" };

@@ -8,6 +8,7 @@
 use super::access::Client;
 use super::host::Host;
 use super::mailbox::{Frame, Handle, Item};
+use super::metrics::SessionMetrics;
 use super::outgoing::{Closed, Outgoing};
 use super::rate::Rate;
 use crate::clock;
@@ -106,7 +107,7 @@ fn read(host: &Host, headers: &HeaderMap, body: &[u8]) -> Result<Vec<ClientMessa
     let encoding = encoding(headers)?;
     host.metrics.frames.inc();
     host.metrics.frame_bytes.inc_by(body.len() as u64);
-    encoding.read::<ClientMessage>(body).map_err(|error| {
+    encoding.read_at_most::<ClientMessage>(body, host.config.message_bytes_max.length()).map_err(|error| {
         host.metrics.frames_malformed.inc();
         Problem::new(StatusCode::BAD_REQUEST, error.to_string())
     })
@@ -127,13 +128,13 @@ fn problem(error: &Error) -> Problem {
         description = "A list of messages that begins with a hello; see the schema of the messages"),
     responses(
         (status = 201, description = "It has begun", body = Opened),
-        (status = 400, description = "No list of messages, or a hello that is refused", body = Problem),
-        (status = 401, description = "Without the token", body = Problem),
-        (status = 403, description = "From a page of another origin", body = Problem),
-        (status = 404, description = "No such world", body = Problem),
-        (status = 413, description = "Larger than a frame may be", body = Problem),
-        (status = 415, description = "Neither JSON nor MessagePack", body = Problem),
-        (status = 503, description = "Too many sessions, or shutting down", body = Problem),
+        (status = 400, description = "No list of messages, or a hello that is refused", body = Problem, content_type = "application/problem+json"),
+        (status = 401, description = "Without the token", body = Problem, content_type = "application/problem+json"),
+        (status = 403, description = "From a page of another origin", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "No such world", body = Problem, content_type = "application/problem+json"),
+        (status = 413, description = "Larger than a frame may be", body = Problem, content_type = "application/problem+json"),
+        (status = 415, description = "Neither JSON nor MessagePack", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "Too many sessions, or shutting down", body = Problem, content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn open(
@@ -204,14 +205,14 @@ fn session(host: &Host, id: &str) -> Result<(Arc<Handle>, Arc<Events>), Problem>
     request_body(content = Vec<Object>, description = "A list of messages; see the schema of the messages"),
     responses(
         (status = 202, description = "Taken; answers come as events"),
-        (status = 400, description = "No list of messages", body = Problem),
-        (status = 401, description = "Without the token", body = Problem),
-        (status = 403, description = "From a page of another origin", body = Problem),
-        (status = 404, description = "No such session", body = Problem),
-        (status = 409, description = "The session has a WebSocket", body = Problem),
-        (status = 413, description = "Larger than a frame may be", body = Problem),
-        (status = 415, description = "Neither JSON nor MessagePack", body = Problem),
-        (status = 429, description = "Too much at once; Retry-After says when", body = Problem),
+        (status = 400, description = "No list of messages", body = Problem, content_type = "application/problem+json"),
+        (status = 401, description = "Without the token", body = Problem, content_type = "application/problem+json"),
+        (status = 403, description = "From a page of another origin", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "No such session", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "The session has a WebSocket", body = Problem, content_type = "application/problem+json"),
+        (status = 413, description = "Larger than a frame may be", body = Problem, content_type = "application/problem+json"),
+        (status = 415, description = "Neither JSON nor MessagePack", body = Problem, content_type = "application/problem+json"),
+        (status = 429, description = "Too much at once; Retry-After says when", body = Problem, content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn frames(
@@ -253,11 +254,11 @@ pub(super) async fn frames(
     responses(
         (status = 200, description = "A list of messages an event; the event `end` is the last, and says why",
             body = String, content_type = "text/event-stream"),
-        (status = 401, description = "Without the token", body = Problem),
-        (status = 403, description = "From a page of another origin", body = Problem),
-        (status = 404, description = "No such session", body = Problem),
-        (status = 409, description = "The session has a WebSocket", body = Problem),
-        (status = 410, description = "What came after Last-Event-ID is no longer kept: resume by POST /sessions", body = Problem),
+        (status = 401, description = "Without the token", body = Problem, content_type = "application/problem+json"),
+        (status = 403, description = "From a page of another origin", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "No such session", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "The session has a WebSocket", body = Problem, content_type = "application/problem+json"),
+        (status = 410, description = "What came after Last-Event-ID is no longer kept: resume by POST /sessions", body = Problem, content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn events(
@@ -284,9 +285,10 @@ pub(super) async fn events(
     });
     session.post(Item::Present { outgoing: events.outgoing.clone() });
     let keep_alive = KeepAlive::new().interval(host.config.ping_every.0);
-    let mut response = Sse::new(stream(Reader { session, events, number, missed, ended: false }))
-        .keep_alive(keep_alive)
-        .into_response();
+    let mut response =
+        Sse::new(stream(Reader { metrics: host.metrics.clone(), session, events, number, missed, ended: false }))
+            .keep_alive(keep_alive)
+            .into_response();
     // Proxies are not to gather events.
     response.headers_mut().insert("x-accel-buffering", HeaderValue::from_static("no"));
     Ok(response)
@@ -294,6 +296,7 @@ pub(super) async fn events(
 
 /// Somebody who reads events.
 struct Reader {
+    metrics: SessionMetrics,
     session: Arc<Handle>,
     events: Arc<Events>,
     number: u64,
@@ -324,6 +327,10 @@ impl Reader {
             _ = readers.wait_for(|readers| *readers != self.number) => return None,
             batch = self.events.outgoing.next() => batch,
         };
+        let now = clock::now();
+        for received in batch.answered {
+            self.metrics.view_to_decision.observe(now.saturating_duration_since(received).as_secs_f64());
+        }
         let mut messages = batch.messages;
         let Some(closed) = batch.closed else {
             return Some(self.keep(&messages));
@@ -349,9 +356,9 @@ fn stream(reader: Reader) -> impl Stream<Item = Result<Event, Infallible>> {
     delete, path = "/sessions/{id}", tag = "sessions", params(("id" = String, Path, description = "Of the session")),
     responses(
         (status = 204, description = "It is over"),
-        (status = 401, description = "Without the token", body = Problem),
-        (status = 403, description = "From a page of another origin", body = Problem),
-        (status = 404, description = "No such session", body = Problem),
+        (status = 401, description = "Without the token", body = Problem, content_type = "application/problem+json"),
+        (status = 403, description = "From a page of another origin", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "No such session", body = Problem, content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn close(State(host): State<Arc<Host>>, Path(id): Path<String>) -> Result<StatusCode, Problem> {

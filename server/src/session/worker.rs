@@ -79,7 +79,7 @@ impl Worker {
             Ok(Err(over)) => Some(over),
             Err(_) => {
                 self.host.metrics.panics.inc();
-                tracing::error!(session = %handle.id, "a fault of the server ends this session");
+                tracing::error!(session = handle.short(), "a fault of the server ends this session");
                 let message = "a fault of the server has ended this session".to_owned();
                 let error = Some(Error { code: ErrorCode::Internal, message, fatal: true });
                 Some(Over { reason: "fault", error })

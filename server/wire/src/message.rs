@@ -307,8 +307,8 @@ pub struct Fetch {
     pub wire_bytes: u64,
     /// Bytes of memory when decoded.
     pub decoded_bytes: u64,
-    /// Urgency as in RFC 9218, 0 the most urgent. In view now: 0 where nothing is shown yet, 1 where something better
-    /// comes, 2 if it is mostly for the worst case; not in view: from 3, all for the predicted path, to 7, all for the worst
+    /// Urgency as in RFC 9218, 0 the most urgent. In view now: 0 where nothing else is there or on its way, 1 where
+    /// something better comes, 2 if it is mostly for the worst case; not in view: from 3, all for the predicted path, to 7, all for the worst
     /// case.
     pub urgency: u8,
     /// When it should be there to be worth what it was chosen for, ns: the arrival that the choice counted on.

@@ -6,7 +6,8 @@
 //! the same decisions ([`crate::recording`]).
 //!
 //! # Times
-//! Session time is the client's, unless that is more than [`DRIFT_MAX_NS`] from the server's clock; the answers bear the client's time.
+//! Session time is the client's, unless that is more than [`DRIFT_MAX_NS`] from the server's clock: then an event is taken
+//! as happening when it comes, and after a second of that the client's clock is taken to have jumped. The answers bear the client's time.
 //!
 //! # What crosses on the way
 //! An event may come of something that has been cancelled or discarded meanwhile. For a minute such an event is no error.
@@ -248,7 +249,7 @@ impl<'a> Session<'a> {
     fn begin(&mut self, received_ns: u64) -> Answers {
         self.clock.received(received_ns);
         self.unsent.clear();
-        self.let_go.forget_before(self.clock.latest());
+        self.let_go.forget_before(self.clock.about_now());
         Answers::new(self.limits.errors_max)
     }
 
@@ -331,7 +332,7 @@ impl<'a> Session<'a> {
             let (said, taken) = (jump.said_s, jump.taken_s);
             answers.error(
                 ErrorCode::Value,
-                format!("the time {said:.3} s is more than 2 s from the server's clock; taken as {taken:.3} s, and what follows from there"),
+                format!("the time {said:.3} s is more than 2 s from the server's clock; expected about {taken:.3} s, and taken as that"),
             );
         }
         now

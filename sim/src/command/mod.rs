@@ -10,6 +10,7 @@ mod runs;
 #[cfg(not(feature = "runs"))]
 #[path = "runs_absent.rs"]
 mod runs;
+mod session;
 mod suite;
 
 use clap::{Parser, Subcommand};

@@ -1,6 +1,7 @@
 //! `replay`: compares policies.
 
 use super::runs::Recorder;
+use super::session;
 use anyhow::{Context, bail};
 use clap::Args;
 use foresight_index::world::World;
@@ -30,7 +31,8 @@ const BUILT_IN_STARTS: u32 = 4;
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  foresight-sim replay --json\n  foresight-sim replay --world mosaic16 --path walk.txt --link lte.down --memory mu:0.25 --starts 10\n  \
-    foresight-sim replay --policy foresight,foresight:alpha=1:predictor=true-path,clairvoyant\n  foresight-sim replay --error-target best --link constant:5Mbit,40ms\n\n\
+    foresight-sim replay --policy foresight,foresight:alpha=1:predictor=true-path,clairvoyant\n  foresight-sim replay --error-target best --link constant:5Mbit,40ms\n  \
+    foresight-sim replay --session flight.jsonl --world tiles/ --link constant:5Mbit,40ms\n\n\
     A policy takes options after colons:\n  foresight, added-benefit, clairvoyant: alpha (0 to 1, adapted, or solved with at-least=Q), watch (on: W/Σw is measured), predictor (constant-velocity, constant-turn, kalman, mixture, known-path,\n    \
     true-path), discards (planned, lru), arrival (on, off), cover (on, off), horizon, reuse, hysteresis, attenuation, samples,\n    \
     opening, falloff, choice (certified, sampled), tolerance, evaluations, grouping, slack, turn-rate and speed (declared, rad/s and m/s), request-cost,\n    \
@@ -42,15 +44,15 @@ pub(crate) struct ReplayArgs {
     /// city:blocks=40,seed=7, terrain:size=40km,resolution=10m, asteroids:count=29264, mosaic:TILESET,grid=16; the built-in
     /// city if not given
     #[arg(long, value_name = "WORLD")]
-    world: Option<String>,
+    pub(super) world: Option<String>,
     /// A TUM or EyeNavGS recording or one of our own, or steady, turn (with :speed=5,duration=60), teleport (with
     /// every=10,distance=200,seed=1 besides); the built-in flight if not given
     #[arg(long, value_name = "PATH")]
-    path: Option<String>,
+    pub(super) path: Option<String>,
     /// A Mahimahi trace (with the .delay beside it), `seconds Mbit/s` lines, a SABRE list, a G-NetTrack log, or
     /// constant:5Mbit,40ms; each with ,scale= ,start= ,rtt= or ,delay=FILE, and ,loss=P for requests that fail
     #[arg(long, value_name = "LINK")]
-    link: Option<String>,
+    pub(super) link: Option<String>,
     /// Policies separated by commas, or all
     #[arg(long, default_value = "all", value_name = "NAMES")]
     policy: String,
@@ -70,7 +72,13 @@ pub(crate) struct ReplayArgs {
     #[arg(long, default_value = "partial", value_name = "KIND", value_parser = refinement)]
     refinement: Refinement,
     #[command(flatten)]
-    path_args: PathArgs,
+    pub(super) path_args: PathArgs,
+    /// Recordings of live sessions instead of a comparison: are their decisions made again, and what was seen? With
+    /// --link, what the simulator makes of the same views, or of --path, over that link. Memory, refinement and policy are
+    /// those of the recording
+    #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = ["policy", "memory", "alpha", "error_target", "refinement",
+        "warm", "starts", "announce", "no_bound", "limits", "report", "store"])]
+    pub(super) session: Vec<PathBuf>,
     /// Start with what the first view needs resident
     #[arg(long)]
     warm: bool,
@@ -80,16 +88,16 @@ pub(crate) struct ReplayArgs {
     starts: Option<u32>,
     /// Seed of the offsets, and of which requests fail
     #[arg(long, default_value_t = 1)]
-    seed: u64,
+    pub(super) seed: u64,
     /// Decoded bytes per second that each of two workers decodes
     #[arg(long, default_value_t = 200e6, value_name = "BYTES/S")]
-    decode_rate: f64,
+    pub(super) decode_rate: f64,
     /// Decoded bytes uploaded per 1/60 s
     #[arg(long, default_value_t = 8 << 20, value_name = "BYTES")]
-    upload_budget: u64,
+    pub(super) upload_budget: u64,
     /// Opening angle of the cuts by which frames are judged; smaller is more accurate and slower
     #[arg(long, default_value_t = 0.15, value_name = "THETA")]
-    opening: f64,
+    pub(super) opening: f64,
     /// The client announces its path this many seconds ahead, renewed once a second; for predictor=known-path
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     announce: Option<f64>,
@@ -109,7 +117,7 @@ pub(crate) struct ReplayArgs {
     store: Option<String>,
     /// Print one JSON document
     #[arg(long)]
-    json: bool,
+    pub(super) json: bool,
     /// Threads; as many as there are processors if not given
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
     threads: Option<u32>,
@@ -128,6 +136,7 @@ impl ReplayArgs {
             error_target: None,
             refinement: Refinement::Partial,
             path_args: PathArgs::default(),
+            session: Vec::new(),
             warm: false,
             starts: None,
             seed: 1,
@@ -141,6 +150,30 @@ impl ReplayArgs {
             store: None,
             json: false,
             threads: None,
+        }
+    }
+
+    /// Refuses numbers out of range.
+    pub(super) fn check(&self) -> anyhow::Result<()> {
+        if !(self.opening >= 0.0 && self.opening <= 2.0) {
+            bail!("--opening {}; expected an angle from 0 to 2", self.opening);
+        }
+        if !(self.decode_rate >= 1.0 && self.decode_rate.is_finite() && self.upload_budget > 0) {
+            bail!(
+                "--decode-rate {} and --upload-budget {}; expected at least 1 byte each",
+                self.decode_rate,
+                self.upload_budget
+            );
+        }
+        Ok(())
+    }
+
+    /// What the client can do, apart from announcing its path.
+    pub(super) fn client(&self) -> ClientSettings {
+        ClientSettings {
+            decode_rate: self.decode_rate,
+            upload_bytes_per_tick: self.upload_budget,
+            ..ClientSettings::default()
         }
     }
 
@@ -189,6 +222,9 @@ pub(crate) fn use_threads(threads: Option<u32>) -> anyhow::Result<()> {
 
 pub(crate) fn run(args: ReplayArgs) -> anyhow::Result<()> {
     use_threads(args.threads)?;
+    if !args.session.is_empty() {
+        return session::run(&args);
+    }
     let watch = Stopwatch::start();
     let recorder = args.store.as_deref().map(Recorder::open).transpose()?;
     let shows_progress = std::io::stderr().is_terminal() && !args.json;
@@ -247,16 +283,7 @@ pub(crate) fn open(args: &ReplayArgs) -> anyhow::Result<Opened> {
 
 /// Makes the comparison that the arguments ask for. `progress` is told how many replays of how many are done.
 pub(crate) fn execute(args: &ReplayArgs, progress: &(dyn Fn(usize, usize) + Sync)) -> anyhow::Result<Comparison> {
-    if !(args.opening >= 0.0 && args.opening <= 2.0) {
-        bail!("--opening {}; expected an angle from 0 to 2", args.opening);
-    }
-    if !(args.decode_rate >= 1.0 && args.decode_rate.is_finite() && args.upload_budget > 0) {
-        bail!(
-            "--decode-rate {} and --upload-budget {}; expected at least 1 byte each",
-            args.decode_rate,
-            args.upload_budget
-        );
-    }
+    args.check()?;
     let (target, hindsight) = match args.error_target.as_deref() {
         None => (None, Vec::new()),
         Some("best") => (None, HINDSIGHT_TARGETS_PX.to_vec()),
@@ -283,12 +310,7 @@ pub(crate) fn execute(args: &ReplayArgs, progress: &(dyn Fn(usize, usize) + Sync
         hindsight_targets: hindsight,
         memory: args.memory.unwrap_or(Memory::Bytes(if args.world.is_none() { BUILT_IN_MEMORY } else { MEMORY })),
         scheduler: SchedulerSettings { refinement: args.refinement, ..base },
-        client: ClientSettings {
-            decode_rate: args.decode_rate,
-            upload_bytes_per_tick: args.upload_budget,
-            announce_s: args.announce.unwrap_or(0.0),
-            ..ClientSettings::default()
-        },
+        client: ClientSettings { announce_s: args.announce.unwrap_or(0.0), ..args.client() },
         judging: CutSettings { opening: args.opening, ..CutSettings::default() },
         warm: args.warm,
         without_bound: args.no_bound,

@@ -13,6 +13,7 @@ mod page;
 mod plot;
 mod prices;
 mod scatter;
+mod session;
 mod suite;
 mod table;
 
@@ -22,6 +23,7 @@ use std::path::{Path, PathBuf};
 
 pub use accuracy::{accuracy_page, accuracy_text};
 pub use alpha_sweep::alpha_sweep_text;
+pub use session::session_text;
 pub use suite::{suite_page, suite_text};
 pub use table::table;
 

@@ -127,6 +127,11 @@ impl Transfer {
         sleep_until(self.link.instant(self.ticket.joins)).await;
     }
 
+    /// Lets what was handed over reach the client before the response breaks off.
+    pub(super) async fn settle(&self) {
+        tokio::time::sleep(PACE).await;
+    }
+
     /// Waits until more than `sent` bytes may be sent, or no more will come.
     pub(super) async fn released(&mut self, sent: u64) -> Released {
         loop {

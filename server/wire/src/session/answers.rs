@@ -121,8 +121,10 @@ impl Session<'_> {
             let frustum = Frustum::new(view);
             frustum.side(centre - frustum.eye, half) != Side::Outside
         });
+        let is_first =
+            || !tree.ancestors(node).flat_map(|n| tree.own(n)).any(|r| r != rep && state.planned().contains(r));
         match (is_seen, predicted_share) {
-            (true, _) if state.resident().shown_at(tree, node).0.is_none() => 0,
+            (true, _) if is_first() => 0,
             (true, share) if share.is_none_or(|share| share >= 0.5) => 1,
             (true, _) => 2,
             (false, share) => 3 + libm::round(4.0 * (1.0 - share.unwrap_or(0.5).clamp(0.0, 1.0))) as u8,

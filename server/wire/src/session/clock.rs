@@ -1,31 +1,37 @@
 //! Session time from two clocks that may jump.
 //!
-//! Session time is the client's time as long as that stays within [`DRIFT_MAX_NS`] of the server's clock, counted from the
-//! `hello`. Where it does not (the client was suspended, its clock was set, its messages were held up), it is anchored
-//! anew: from then on the client's time plus an offset. It never decreases. It depends on nothing but the sequence of
-//! (received, said) times, so a recording of these replays to the same times.
+//! Session time is the client's time plus an offset, 0 to begin with, as long as that stays within [`DRIFT_MAX_NS`] of the
+//! server's clock, which counts from the `hello`. An event whose time does not is a stray: it is taken as happening when
+//! it comes. Messages that were held up are strays until they have caught up. Where strays keep coming for [`STRAY_NS`], the
+//! client's clock has jumped (it was set, or the client was suspended), and the offset is made anew; at the first event at
+//! once. Session time never decreases. It depends on nothing but the sequence of (received, said) times, so a recording of
+//! these replays to the same times.
 
 use foresight_scheduler::units::Time;
 
 /// Farthest that session time may be from the server's clock, ns.
 pub const DRIFT_MAX_NS: u64 = 2_000_000_000;
+/// How long strays have to come before the offset is made anew, ns.
+const STRAY_NS: u64 = 1_000_000_000;
 
 /// Where session time stands.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Clock {
-    /// Session time minus client time, ns.
-    offset: i128,
+    /// Session time minus client time, ns; `None` before the first event.
+    offset: Option<i128>,
     /// Latest session time.
     latest: u64,
     /// Latest time of the server's clock.
     received: u64,
     /// Session time minus the server's clock, at the last message that bore a time, ns.
     ahead: i128,
-    /// How often it was anchored anew.
+    /// The server's clock at the first stray in a row.
+    stray_since: Option<u64>,
+    /// How often strays began.
     jumps: u64,
 }
 
-/// A clock was anchored anew: what the client said and where session time is instead, seconds.
+/// Strays have begun: what the client said and what it was taken for, seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Jump {
     pub(super) said_s: f64,
@@ -40,17 +46,22 @@ impl Clock {
 
     /// Session time of an event that the client says was at `t_ns`.
     pub(super) fn event(&mut self, t_ns: u64) -> (Time, Option<Jump>) {
-        let mut at = i128::from(t_ns) + self.offset;
-        let received = i128::from(self.received);
+        let (said, received) = (i128::from(t_ns), i128::from(self.received));
+        let mut at = said + self.offset.unwrap_or(0);
         let mut jump = None;
-        if (at - received).unsigned_abs() > u128::from(DRIFT_MAX_NS) {
-            at = received.max(i128::from(self.latest));
-            let taken = at - i128::from(t_ns);
-            // Held back at the latest time that is allowed, the offset moves on with every message: that is one jump.
-            if taken != self.offset {
-                self.offset = taken;
+        if (at - received).unsigned_abs() <= u128::from(DRIFT_MAX_NS) {
+            self.offset.get_or_insert(0);
+            self.stray_since = None;
+        } else {
+            at = received;
+            if self.stray_since.is_none() {
                 self.jumps += 1;
                 jump = Some(Jump { said_s: t_ns as f64 * 1e-9, taken_s: at as f64 * 1e-9 });
+            }
+            let since = *self.stray_since.get_or_insert(self.received);
+            if self.offset.is_none() || self.received - since >= STRAY_NS {
+                self.offset = Some(received - said);
+                self.stray_since = None;
             }
         }
         self.ahead = at - received;
@@ -60,6 +71,11 @@ impl Clock {
     /// Session time now, where the client has said nothing: the server's clock, as far ahead or behind as it was.
     pub(super) fn now(&mut self) -> Time {
         self.pass(i128::from(self.received) + self.ahead)
+    }
+
+    /// The same, and it moves nothing.
+    pub(super) fn about_now(&self) -> Time {
+        Clock { ..*self }.now()
     }
 
     fn pass(&mut self, at: i128) -> Time {
@@ -75,12 +91,12 @@ impl Clock {
 
     /// Session time of something that lies ahead or behind by the client's clock; no event, so it moves nothing.
     pub(super) fn at(&self, t_ns: u64) -> Time {
-        Time(u64::try_from((i128::from(t_ns) + self.offset).max(0)).unwrap_or(u64::MAX))
+        Time(u64::try_from((i128::from(t_ns) + self.offset.unwrap_or(0)).max(0)).unwrap_or(u64::MAX))
     }
 
     /// The client's time of a session time, ns.
     pub(super) fn on_client(&self, at: Time) -> u64 {
-        u64::try_from((i128::from(at.0) - self.offset).max(0)).unwrap_or(u64::MAX)
+        u64::try_from((i128::from(at.0) - self.offset.unwrap_or(0)).max(0)).unwrap_or(u64::MAX)
     }
 
     /// The server's clock at a session time, ns.
@@ -88,7 +104,7 @@ impl Clock {
         u64::try_from((i128::from(at.0) - self.ahead).max(0)).unwrap_or(u64::MAX)
     }
 
-    /// How often it was anchored anew.
+    /// How often the client's clock has left the server's.
     pub(super) fn jumps(&self) -> u64 {
         self.jumps
     }
@@ -116,23 +132,28 @@ mod tests {
     }
 
     #[test]
-    fn jumps_either_way_anchor_anew() {
+    fn jumps_either_way_are_followed() {
         let mut clock = Clock::default();
         said(&mut clock, 10, 10);
-        // Set forward by an hour, then back.
-        assert_eq!([(11, 3611), (12, 3612), (13, 13), (14, 14)].map(|(r, t)| said(&mut clock, r, t)), [11, 12, 13, 14]);
-        assert_eq!(clock.jumps(), 2);
-        assert_eq!(clock.at(15 * SECOND), Time(15 * SECOND));
+        // Set forward by an hour, then back: taken when it comes, until that has lasted.
+        assert_eq!([(11, 3611), (12, 3612), (13, 3614)].map(|(r, t)| said(&mut clock, r, t)), [11, 12, 14]);
+        assert_eq!(clock.at(3615 * SECOND), Time(15 * SECOND));
+        assert_eq!([(15, 15), (16, 16), (17, 18)].map(|(r, t)| said(&mut clock, r, t)), [15, 16, 18]);
+        assert_eq!((clock.jumps(), clock.at(19 * SECOND)), (2, Time(19 * SECOND)));
+        // A first time of another epoch.
+        let mut clock = Clock::default();
+        assert_eq!([(1, 1_000_000), (2, 1_000_001)].map(|(r, t)| said(&mut clock, r, t)), [1, 2]);
+        assert_eq!((clock.jumps(), clock.on_client(Time(3 * SECOND))), (1, 1_000_002 * SECOND));
     }
 
     #[test]
     fn what_was_held_up_is_taken_when_it_comes() {
         let mut clock = Clock::default();
         said(&mut clock, 1, 1);
-        // Half a minute of messages at once: session time waits for the server's clock.
+        // Half a minute of messages at once.
         let times: Vec<u64> = (2..=31).map(|t| said(&mut clock, 31, t)).collect();
-        assert!(times.iter().all(|&t| (31..=33).contains(&t)), "{times:?}");
-        assert_eq!(said(&mut clock, 40, 40), 40);
+        assert!(times.iter().all(|&t| t == 31), "{times:?}");
+        assert_eq!((said(&mut clock, 40, 40), clock.jumps()), (40, 1));
     }
 
     #[test]

@@ -2,13 +2,15 @@
 
 use foresight_index::generate::city::{CityParams, city};
 use foresight_index::world::World;
-use foresight_scheduler::lod_tree::{LodTree, RepId};
+use foresight_scheduler::lod_tree::{Aabb, LodTree, LodTreeBuilder, RepId, Representation};
 use foresight_wire::message::{
     Camera, ClientMessage, Event, Hello, Mode, Progress, Refinement, ServerMessage, VERSION, Views,
 };
 use foresight_wire::session::SessionWorld;
+use glam::DVec3;
 use std::collections::{BTreeMap, BTreeSet};
 
+pub(crate) const TICK_NS: u64 = 16_666_667;
 const LATENCY_NS: u64 = 40_000_000;
 
 pub(crate) fn small_city() -> World {
@@ -16,8 +18,28 @@ pub(crate) fn small_city() -> World {
     city(&params).expect("a small city")
 }
 
-pub(crate) fn tree_world<'a>(world: &'a World, uri: &'a (dyn Fn(RepId) -> String + Sync)) -> SessionWorld<'a> {
-    SessionWorld { name: "city", identity: "0", base: "/worlds/city/0/", tree: &world.tree, uri, up: world.up }
+/// Nodes in a row along x, ten metres apart, each with three levels of which the second needs the first and the third
+/// the second.
+pub(crate) fn rows(nodes: u32) -> LodTree {
+    let mut builder = LodTreeBuilder::default();
+    builder.open().expect("a root");
+    for x in 0..nodes {
+        builder.open().expect("a node");
+        let mut prerequisite = None;
+        for (wire_bytes, error) in [(500, 1.0), (2000, 0.1), (9000, 0.01)] {
+            let decoded_bytes = 3 * wire_bytes;
+            let rep = Representation { wire_bytes, decoded_bytes, error, prerequisite, direction: None };
+            prerequisite = Some(builder.add(rep).expect("a level"));
+        }
+        let min = DVec3::new(f64::from(x) * 10.0 - 150.0, 1.0, 16.0);
+        builder.close(Some(Aabb { min, max: min + 8.0 }), 1.0).expect("a node");
+    }
+    builder.close(None, 1.0).expect("a root");
+    builder.finish().expect("a world")
+}
+
+pub(crate) fn session_world<'a>(tree: &'a LodTree, uri: &'a (dyn Fn(RepId) -> String + Sync)) -> SessionWorld<'a> {
+    SessionWorld { name: "city", identity: "0", base: "/worlds/city/0/", tree, uri, up: DVec3::Z }
 }
 
 pub(crate) fn hello(memory_bytes: u64) -> Hello {
