@@ -108,7 +108,7 @@ fn occupied(view: &Orthoview) -> Option<Rect> {
 fn octahedral(normal: [f32; 3]) -> [u8; 2] {
     let [x, y, z] = normal;
     let sum = x.abs() + y.abs() + z.abs();
-    if !(sum > 0.0) {
+    if sum.is_nan() || sum <= 0.0 {
         return [128, 128];
     }
     let (x, y) = (x / sum, y / sum);

@@ -10,7 +10,7 @@ pub const DELTA_Z: f64 = 2.0;
 /// One pixel from up to four. `delta_z` in metres.
 pub fn merge(candidates: [Pixel; 4], delta_z: f32) -> Pixel {
     let depth = candidates.iter().map(|p| p.depth).fold(f32::INFINITY, f32::min);
-    if !(depth < f32::INFINITY) {
+    if depth == f32::INFINITY {
         return Pixel::EMPTY;
     }
     let (mut colour, mut normal, mut count) = ([0.0f32; 3], [0.0f32; 3], 0.0f32);

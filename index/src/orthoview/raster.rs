@@ -154,7 +154,7 @@ fn draw(
             }
             let depth = shares[0] * a.z + shares[1] * p.z + shares[2] * q.z;
             let index = y as usize * size.width() + x as usize;
-            if !((depth as f32) < target.pixels[index].depth) {
+            if depth.is_nan() || depth as f32 >= target.pixels[index].depth {
                 continue;
             }
             let image = (at + base) / to_pixels;

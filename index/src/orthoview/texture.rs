@@ -67,11 +67,7 @@ impl Texture {
 
     /// Colour (linear light) and alpha at texture coordinates, averaged over a square of `footprint` of the whole:
     /// bilinear in the mip whose texels are at least that large.
-    #[expect(
-        clippy::cast_possible_truncation,
-        clippy::cast_sign_loss,
-        reason = "texels of an image, reduced to its size"
-    )]
+    #[expect(clippy::cast_possible_truncation, reason = "texels of an image, reduced to its size")]
     pub fn sample(&self, uv: DVec2, footprint: f64) -> ([f32; 3], f32) {
         if !uv.is_finite() {
             return ([0.0; 3], 1.0);
