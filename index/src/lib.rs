@@ -5,7 +5,7 @@
 
 #[cfg(any(feature = "runs", feature = "sessions"))]
 pub mod database;
-#[cfg(any(feature = "cityjson", feature = "terrain", feature = "asteroids"))]
+#[cfg(any(feature = "cityjson", feature = "terrain", feature = "asteroids", feature = "city", feature = "orthoviews"))]
 pub mod format;
 pub mod generate;
 pub mod geodesy;
@@ -15,6 +15,10 @@ pub mod import;
 pub mod manifest;
 #[cfg(feature = "cityjson")]
 mod mesh;
+#[cfg(feature = "orthoviews")]
+pub mod octree;
+#[cfg(feature = "orthoviews")]
+pub mod orthoview;
 #[cfg(feature = "runs")]
 pub mod runs;
 #[cfg(feature = "sessions")]

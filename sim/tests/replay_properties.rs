@@ -213,7 +213,7 @@ impl World {
     /// Replays and tells what the scheduler last knew to have arrived without being shown, wire bytes.
     fn replay(&self, spec: &PolicySpec) -> Result<(Run, u64), String> {
         let seen = Arc::new(Mutex::new(Seen::default()));
-        let inner = future::build(&spec, &self.tree, &self.flight, &self.link, self.link_start);
+        let inner = future::build(spec, &self.tree, &self.flight, &self.link, self.link_start);
         let watched = Watched { inner, seen: Arc::clone(&seen) };
         let run = replay(self.stage(), Box::new(watched)).map_err(|e| format!("{}: {e}", spec.label))?;
         let seen = *seen.lock().map_err(|e| e.to_string())?;

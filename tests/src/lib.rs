@@ -1,6 +1,7 @@
-//! What the end-to-end tests share: running the built programs, server and client among them, inputs written by the test itself, recorded data, the
-//! byte-level parsers that the fuzz corpora exercise, and the comparison with real viewers.
+//! What the end-to-end tests share: running the built programs, inputs written by the test itself, recorded data, the
+//! byte-level parsers that the fuzz corpora exercise, a browser, the comparison with real viewers, and the sidecar's programs.
 
+pub mod chromium;
 pub mod delivery;
 pub mod fidelity;
 pub mod input;

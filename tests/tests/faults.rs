@@ -1,11 +1,12 @@
 //! What the real server and the real client make of faults: a dead link, spoiled contents, clients and servers that vanish,
-//! sockets that break, clocks that jump.
+//! sockets that break, clocks that jump, databases that fail.
 //!
 //! Each flight is judged by the client's own log of events. Figures are printed; run with `--nocapture` to see them.
 
 mod faults {
     pub(super) mod clocks;
     pub(super) mod contents;
+    pub(super) mod database;
     pub(super) mod link;
     pub(super) mod vanished;
 }
@@ -61,7 +62,7 @@ fn recovery(
 /// A world of real files in `folder`, made by the simulator: models in space, which begin with `glTF`.
 fn files(folder: &Path) -> String {
     let arguments = ["generate", "asteroids", "--count", "400", "--triangles", "2000", "--spacing", "100m", "--radius"];
-    let arguments: Vec<&str> = arguments.into_iter().chain(["30m", "--out", "belt"]).collect();
+    let arguments: Vec<&str> = arguments.into_iter().chain(["20m", "--out", "belt"]).collect();
     let made = foresight_tests::program::sim(folder, &arguments, std::time::Duration::from_secs(120));
     assert_eq!(made.code, Some(0), "{}", made.stderr);
     folder.join("belt").display().to_string()

@@ -89,6 +89,108 @@ pub fn encode(mesh: &Mesh<'_>) -> Vec<u8> {
         "bufferViews": views,
         "buffers": [{ "byteLength": binary.len() }],
     });
+    framed(&json, &binary)
+}
+
+/// One material of a model.
+#[derive(Clone, Copy, Debug)]
+pub struct Part<'a> {
+    /// Metres relative to the model's origin, z up.
+    pub positions: &'a [[f32; 3]],
+    /// A unit vector a position.
+    pub normals: &'a [[f32; 3]],
+    /// Texture coordinates, one a position; or none.
+    pub uv: &'a [[f32; 2]],
+    /// Each index is less than the number of positions; counter-clockwise from the front.
+    pub triangles: &'a [[u32; 3]],
+    /// Linear light, multiplied with the texture.
+    pub colour: [f32; 3],
+    /// Which of the model's images, repeated beyond its borders.
+    pub texture: Option<usize>,
+}
+
+/// A model of several materials as GLB, with the images (PNG) inside. Parts without triangles are left out.
+pub fn encode_model(origin: DVec3, parts: &[Part<'_>], images: &[&[u8]]) -> Vec<u8> {
+    let mut binary: Vec<u8> = Vec::new();
+    let (mut views, mut accessors, mut primitives, mut materials) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let mut view = |bytes: &[u8], target: Option<u32>, views: &mut Vec<serde_json::Value>| {
+        binary.resize(binary.len().next_multiple_of(4), 0);
+        let mut json = json!({ "buffer": 0, "byteOffset": binary.len(), "byteLength": bytes.len() });
+        if let Some(target) = target {
+            json["target"] = json!(target);
+        }
+        binary.extend_from_slice(bytes);
+        views.push(json);
+        views.len() - 1
+    };
+    let upright = |vectors: &[[f32; 3]]| vectors.iter().map(|&[x, y, z]| [x, z, -y]).collect::<Vec<[f32; 3]>>();
+    let floats = |values: &[f32]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
+    for part in parts.iter().filter(|part| !part.triangles.is_empty()) {
+        let count = part.positions.len();
+        let positions = upright(part.positions);
+        let bound = |start: f32, pick: fn(f32, f32) -> f32| {
+            positions.iter().fold([start; 3], |best, at| std::array::from_fn(|axis| pick(best[axis], at[axis])))
+        };
+        let mut accessor = |view: usize, kind: u32, count: usize, shape: &str, bounds: bool| {
+            let mut json = json!({ "bufferView": view, "componentType": kind, "count": count, "type": shape });
+            if bounds {
+                json["min"] = json!(bound(f32::INFINITY, f32::min));
+                json["max"] = json!(bound(f32::NEG_INFINITY, f32::max));
+            }
+            accessors.push(json);
+            accessors.len() - 1
+        };
+        let at = view(&floats(positions.as_flattened()), Some(34962), &mut views);
+        let mut attributes = json!({ "POSITION": accessor(at, 5126, count, "VEC3", true) });
+        if !part.normals.is_empty() {
+            let at = view(&floats(upright(part.normals).as_flattened()), Some(34962), &mut views);
+            attributes["NORMAL"] = json!(accessor(at, 5126, count, "VEC3", false));
+        }
+        if !part.uv.is_empty() {
+            let at = view(&floats(part.uv.as_flattened()), Some(34962), &mut views);
+            attributes["TEXCOORD_0"] = json!(accessor(at, 5126, count, "VEC2", false));
+        }
+        let is_short = count <= SHORT;
+        let bytes: Vec<u8> = part
+            .triangles
+            .iter()
+            .flatten()
+            .flat_map(|index| index.to_le_bytes().into_iter().take(if is_short { 2 } else { 4 }))
+            .collect();
+        let at = view(&bytes, Some(34963), &mut views);
+        let kind = if is_short { 5123 } else { 5125 };
+        let indices = accessor(at, kind, 3 * part.triangles.len(), "SCALAR", false);
+        let [r, g, b] = part.colour;
+        let mut surface = json!({ "metallicFactor": 0, "roughnessFactor": 1, "baseColorFactor": [r, g, b, 1.0] });
+        if let Some(texture) = part.texture {
+            surface["baseColorTexture"] = json!({ "index": texture });
+        }
+        primitives.push(json!({ "attributes": attributes, "indices": indices, "material": materials.len() }));
+        materials.push(json!({ "pbrMetallicRoughness": surface }));
+    }
+    let mut json = json!({
+        "asset": { "version": "2.0", "generator": "foresight" },
+        "scene": 0,
+        "scenes": [{ "nodes": [0] }],
+        "nodes": [{ "mesh": 0, "translation": [origin.x, origin.z, -origin.y] }],
+        "meshes": [{ "primitives": primitives }],
+        "materials": materials,
+    });
+    if !images.is_empty() {
+        let stored =
+            images.iter().map(|image| json!({ "bufferView": view(image, None, &mut views), "mimeType": "image/png" }));
+        json["images"] = stored.collect();
+        json["textures"] = (0..images.len()).map(|source| json!({ "source": source })).collect();
+    }
+    binary.resize(binary.len().next_multiple_of(4), 0);
+    json["accessors"] = json!(accessors);
+    json["bufferViews"] = json!(views);
+    json["buffers"] = json!([{ "byteLength": binary.len() }]);
+    framed(&json, &binary)
+}
+
+/// The two chunks of a GLB; the binary's length is a multiple of 4.
+fn framed(json: &serde_json::Value, binary: &[u8]) -> Vec<u8> {
     let mut json = json.to_string().into_bytes();
     json.resize(json.len().next_multiple_of(4), b' ');
     let length = 12 + 8 + json.len() + 8 + binary.len();
@@ -101,7 +203,7 @@ pub fn encode(mesh: &Mesh<'_>) -> Vec<u8> {
     bytes.extend_from_slice(&json);
     bytes.extend_from_slice(&(binary.len() as u32).to_le_bytes());
     bytes.extend_from_slice(b"BIN\0");
-    bytes.extend_from_slice(&binary);
+    bytes.extend_from_slice(binary);
     bytes
 }
 

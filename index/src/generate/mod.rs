@@ -16,5 +16,5 @@ mod random;
 mod staging;
 #[cfg(feature = "terrain")]
 pub mod terrain;
-#[cfg(any(feature = "asteroids", feature = "terrain"))]
+#[cfg(any(feature = "asteroids", feature = "terrain", feature = "textures"))]
 pub mod tileset;

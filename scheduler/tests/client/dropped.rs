@@ -117,8 +117,8 @@ fn nothing_is_held_against_what_was_dropped() {
 /// What the client has by its own doing is not fetched, and not forgotten when memory is short.
 #[test]
 fn what_the_client_has_by_itself_counts_at_once() {
-    let tree = leaves(&[DVec3::new(0.0, 0.0, -10.0), DVec3::new(2.0, 0.0, -15.0)], &[(50_000, 0.01)]);
-    let mut client = Client::new(&tree, 200_000, foresight(|_| {}));
+    let tree = leaves(&[DVec3::new(0.0, 0.0, -10.0), DVec3::new(2.0, 0.0, -15.0)], &[(100_000, 0.01)]);
+    let mut client = Client::new(&tree, 400_000, foresight(|_| {}));
     let see = |s: &mut Scheduler, now: Time| s.observe(&at(DVec3::ZERO), now).unwrap();
     client.bytes_per_tick = 1;
     client.ticks(3, see);
@@ -126,10 +126,10 @@ fn what_the_client_has_by_itself_counts_at_once() {
     client.scheduler.preload(RepId(1)).unwrap();
     client.ticks(120, see);
     assert_eq!((client.fetched(), client.status(1)), (vec![0], Status::Resident));
-    client.scheduler.set_budget(150_000);
+    client.scheduler.set_budget(300_000);
     client.obey();
     assert_eq!((client.status(0), client.status(1)), (Status::InFlight, Status::Resident));
-    client.scheduler.set_budget(149_999);
+    client.scheduler.set_budget(299_999);
     client.obey();
     assert_eq!(client.scheduler.state().residents().count() + client.scheduler.state().requests().len(), 1);
 }

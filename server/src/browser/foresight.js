@@ -65,7 +65,8 @@
  * @typedef {object} Held What is requested or there.
  * @property {Fetch} fetch
  * @property {"requested" | "arrived" | "decoding" | "resident"} stage
- * @property {boolean} responded
+ * @property {boolean} responded the server has been told of a response
+ * @property {boolean} answered a response has come
  * @property {number} received bytes of it so far
  * @property {Uint8Array | null} bytes
  * @property {unknown} content
@@ -85,6 +86,8 @@ const SPACING_MS = 7;
 const SILENCE_MS = 15000;
 /** Views wait while more than this waits to be sent, bytes. */
 const BACKLOG_BYTES = 1 << 16;
+/** Connections to one host that browsers open where HTTP/1.1 is spoken: what is requested beyond them waits. */
+const CONNECTIONS = 6;
 /** Errors after which another attempt would end the same. */
 const FOR_GOOD = ["version", "world", "value", "malformed"];
 
@@ -113,6 +116,8 @@ export class Foresight extends EventTarget {
   #animation = 0;
   #used = 0;
   #usedMax = 0;
+  /** Least time from order to response of late, ms. */
+  #latency = 1000;
 
   /** @param {Options} options */
   constructor(options) {
@@ -371,12 +376,26 @@ export class Foresight extends EventTarget {
     }
     /** @type {Held} */
     const held = {
-      fetch, stage: "requested", responded: false, received: 0, bytes: null, content: undefined,
+      fetch, stage: "requested", responded: false, answered: false, received: 0, bytes: null, content: undefined,
       controller: new AbortController(),
     };
     this.#held.set(fetch.rep, held);
     this.#use(fetch.wire_bytes);
     this.#transfer(held);
+    // Who waits for a free connection shares the link with those that have one; the server would take the time for
+    // latency, and have all the more requested.
+    setTimeout(() => {
+      if (held.responded || this.#held.get(fetch.rep) !== held) return;
+      const waiting = [...this.#held.values()].filter(({ stage, answered }) => stage === "requested" && !answered);
+      if (waiting.length > CONNECTIONS) this.#responded(held);
+    }, this.#latency);
+  }
+
+  /** @param {Held} held */
+  #responded(held) {
+    if (held.responded) return;
+    held.responded = true;
+    this.#event("responded", held.fetch.rep);
   }
 
   /** The address of something to fetch. @param {Fetch} fetch */
@@ -401,12 +420,15 @@ export class Foresight extends EventTarget {
       clearTimeout(timer);
       timer = setTimeout(() => { stalled = true; controller.abort(); }, this.#options.stallMs);
     };
+    const asked = performance.now();
     try {
       alive();
       const response = await fetch(this.#address(held.fetch), { headers, priority, signal: controller.signal });
       if (!response.ok || !response.body) throw new Error(`status ${response.status}; expected 200`);
-      held.responded = true;
-      this.#event("responded", rep);
+      // The least, slowly forgotten.
+      this.#latency = Math.min(performance.now() - asked, 1.02 * this.#latency);
+      held.answered = true;
+      this.#responded(held);
       this.#emit("responded", { rep, bytes: held.fetch.wire_bytes });
       const bytes = new Uint8Array(held.fetch.wire_bytes);
       const reader = response.body.getReader();

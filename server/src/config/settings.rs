@@ -67,7 +67,8 @@ macro_rules! settings {
 }
 
 settings! {
-    /// Worlds to serve: a world directory, a tileset, or a generated world.
+    /// Worlds to serve: a folder, a tileset, a generated world such as city:blocks=20, a city model, an elevation grid;
+    /// NAME=WORLD gives it a name.
     world: Vec<String> = "";
     /// Where to listen; beyond loopback a token is needed.
     listen: SocketAddr = "127.0.0.1:8080";

@@ -8,7 +8,7 @@ use crate::clock;
 use foresight_index::sessions::{Location, Observation, SessionStore, SessionStoreError};
 use foresight_wire::message::LinkGuess;
 use std::collections::BTreeMap;
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -96,9 +96,12 @@ impl Estimates {
     /// Writes what waits, once; returns when it has been tried.
     pub(super) async fn flush(&self) {
         let (done, flushed) = oneshot::channel();
-        if self.queue.as_ref().is_some_and(|queue| queue.try_send(Ask::Flush(done)).is_ok()) {
-            let _ = flushed.await;
+        let mut ask = Ask::Flush(done);
+        while let Some(Err(TrySendError::Full(again))) = self.queue.as_ref().map(|queue| queue.try_send(ask)) {
+            ask = again;
+            tokio::time::sleep(Duration::from_millis(2)).await;
         }
+        let _ = flushed.await;
     }
 }
 
@@ -116,7 +119,7 @@ struct Writer {
     store: Option<SessionStore>,
     state: Arc<Mutex<State>>,
     metrics: SessionMetrics,
-    /// Observations not yet written, by client and in order.
+    /// Observations not yet written, in the order in which they came.
     waiting: BTreeMap<u64, Observation>,
     pause: Duration,
     not_before: Instant,

@@ -12,7 +12,7 @@ pub(super) struct Outgoing {
     changed: Notify,
     /// More wait than may.
     full: Notify,
-    /// Messages that may wait.
+    /// Messages that may wait before further ones come.
     most: usize,
 }
 
@@ -49,11 +49,21 @@ impl Outgoing {
         Outgoing { state: Mutex::default(), changed: Notify::new(), full: Notify::new(), most }
     }
 
-    /// Adds answers to a frame received then, or to none. False if the connection was closed, or is now because more wait
-    /// than may: then what waits is let go.
+    /// Adds answers to a frame received then, or to none. False if the connection was closed, or is now because more waited
+    /// already than may: then what waits is let go. The answers to one frame always fit.
     pub(super) fn push(&self, messages: Vec<ServerMessage>, received: Option<Instant>) -> bool {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         if state.closed.is_some() {
+            return false;
+        }
+        if state.messages.len() > self.most {
+            let message =
+                format!("{} answers wait for this connection; expected at most {}", state.messages.len(), self.most);
+            let error = Error { code: ErrorCode::Limit, message, fatal: true };
+            self.full.notify_one();
+            *state = State { closed: Some(Closed { error: Some(error), reason: "slow" }), ..State::default() };
+            drop(state);
+            self.changed.notify_one();
             return false;
         }
         for message in messages {
@@ -62,7 +72,7 @@ impl Outgoing {
                 ServerMessage::Estimates(_) => matches!(old, ServerMessage::Estimates(_)),
                 _ => false,
             };
-            if !matches!(message, ServerMessage::Error(_)) {
+            if matches!(message, ServerMessage::Wait { .. } | ServerMessage::Estimates(_)) {
                 state.messages.retain(|old| !superseded(old));
             }
             state.messages.push(message);
@@ -70,17 +80,9 @@ impl Outgoing {
         if state.answered.len() < self.most {
             state.answered.extend(received);
         }
-        if state.messages.len() > self.most {
-            let message =
-                format!("{} answers wait for this connection; expected at most {}", state.messages.len(), self.most);
-            let error = Error { code: ErrorCode::Limit, message, fatal: true };
-            self.full.notify_one();
-            *state = State { closed: Some(Closed { error: Some(error), reason: "slow" }), ..State::default() };
-        }
-        let open = state.closed.is_none();
         drop(state);
         self.changed.notify_one();
-        open
+        true
     }
 
     /// Ends it after what waits.
@@ -134,10 +136,10 @@ mod tests {
     #[tokio::test]
     async fn too_many_close_it_with_a_reason() {
         let outgoing = Outgoing::new(16);
-        for rep in 0..16 {
+        for rep in 0..17 {
             assert!(outgoing.push(vec![ServerMessage::Cancel { rep }], None));
         }
-        assert!(!outgoing.push(vec![ServerMessage::Cancel { rep: 16 }], None));
+        assert!(!outgoing.push(vec![ServerMessage::Cancel { rep: 17 }], None));
         assert!(!outgoing.push(vec![wait(1)], None));
         let batch = outgoing.next().await;
         assert!(batch.messages.is_empty());

@@ -3,7 +3,7 @@
 use anyhow::Context;
 use clap::{Args, Subcommand};
 use foresight_index::generate::asteroids::{self, AsteroidParams};
-use foresight_index::generate::city::CityParams;
+use foresight_index::generate::city::{self, CityParams};
 use foresight_index::generate::document::{self, Params};
 use foresight_index::generate::mosaic;
 use foresight_index::generate::terrain::{self, TerrainParams};
@@ -52,8 +52,8 @@ enum What {
         #[arg(long, value_name = "DIR")]
         out: PathBuf,
     },
-    /// Streets, blocks and buildings from a seed. Geometry is not made: with or without --catalogue-only the parameters
-    /// are written.
+    /// Streets, blocks and buildings from a seed. Without --catalogue-only a 3D Tiles tileset of at most 200,000 tiles (about
+    /// 60 × 60 blocks) with façades, windows, trees and textures; with it, sizes are modelled.
     City {
         /// Blocks along each side, 100 m apart
         #[arg(long, default_value_t = 20, value_name = "N")]
@@ -149,7 +149,12 @@ pub(crate) fn run(args: GenerateArgs) -> anyhow::Result<()> {
         }
         What::City { blocks, seed, out } => {
             let params = CityParams { blocks_x: blocks, blocks_y: blocks, seed, ..CityParams::default() };
-            catalogue(&params, &out.out)?;
+            if out.catalogue_only {
+                catalogue(&params, &out.out)?;
+            } else {
+                let mut line = ProgressLine::new();
+                geometry(&out.out, city::geometry::write(&params, &out.out, &mut |done, all| line.files(done, all)))?;
+            }
         }
         What::Terrain { size, resolution, seed, relief, texels, out } => {
             let params = TerrainParams { size, resolution, seed, relief, texels };

@@ -59,7 +59,8 @@ fn main() {
         ));
         for _ in 0..if cli.simulated { 0 } else { cli.times } {
             let folder = tempfile::tempdir().expect("a temporary folder");
-            let server = Server::start(folder.path(), &["--world", case.world(), "--link", case.link()]);
+            let served = ["--world", case.world(), "--link", case.link(), "--record", "recordings"];
+            let server = Server::start(folder.path(), &served);
             let live = case.fly(folder.path(), &server, "events.jsonl", &options);
             let d_live = live.deficit();
             let difference = (d_live - d_simulated).abs() / d_simulated.max(1e-3);
@@ -90,6 +91,16 @@ fn main() {
                 live.summary["failed"]
             ));
             server.stop();
+            let replayed = case.replay_recording(&folder.path().join("recordings"));
+            let (agreement, again) = (&replayed["agreement"], &replayed["simulated"]);
+            say(&format!(
+                "  recorded:  deficit {:.4}; {} of {} decisions are made again; {:.2} % from the simulator's {:.4}",
+                replayed["live"]["mean_deficit"].as_f64().unwrap_or(f64::NAN),
+                agreement["decisions_equal"],
+                agreement["decisions"],
+                again["relative_difference"].as_f64().unwrap_or(f64::NAN) * 100.0,
+                again["outcome"]["mean_deficit"].as_f64().unwrap_or(f64::NAN)
+            ));
         }
     }
 }

@@ -47,7 +47,7 @@ struct Cli {
     /// Processors of the clients
     #[arg(long, default_value = "1", value_name = "LIST")]
     client_cores: String,
-    /// Soak: virtual clients come and go for so many minutes, and the server's memory has to stay flat
+    /// Soak: virtual clients come and go for so many minutes, at least 3, and the server's memory has to stay flat
     #[arg(long, value_name = "MINUTES")]
     soak: Option<f64>,
     /// Soak: clients at a time

@@ -23,7 +23,7 @@ const PLAY: &str = include_str!("../../fidelity/play.js");
 
 /// Chromium's arguments: nothing is fetched but from this machine, timers run as if the page were looked at, and WebGL is
 /// drawn in software.
-const ARGUMENTS: [&str; 16] = [
+pub(crate) const ARGUMENTS: [&str; 16] = [
     "--headless",
     "--no-sandbox",
     "--disable-quic",
@@ -175,7 +175,7 @@ impl Drop for Running {
     }
 }
 
-fn in_path(program: &str) -> Option<PathBuf> {
+pub(crate) fn in_path(program: &str) -> Option<PathBuf> {
     std::env::split_paths(&std::env::var_os("PATH")?).map(|folder| folder.join(program)).find(|file| file.is_file())
 }
 

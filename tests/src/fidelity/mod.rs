@@ -15,7 +15,7 @@
 //! - Where memory is short, the simulator's budget cannot be overdrawn, and requests take their memory when they are made;
 //!   both viewers count what is loaded.
 
-mod browser;
+pub(crate) mod browser;
 mod case;
 mod order;
 mod page;

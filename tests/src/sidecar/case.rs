@@ -18,6 +18,7 @@ use foresight_traces::link::LinkTrace;
 
 use super::flown::{self, Flown};
 use super::process::{Server, Viewer};
+use crate::program;
 
 /// Time that a flight may take beyond its length.
 const SLACK: Duration = Duration::from_secs(90);
@@ -187,6 +188,23 @@ impl Case {
     /// If it does not end well.
     pub fn fly(&self, folder: &Path, server: &Server, log: &str, options: &[&str]) -> Live {
         self.finish(folder, self.start(folder, &server.url(), log, options), log)
+    }
+
+    /// What `foresight-sim replay --session` makes of the one recording in a server's folder of recordings: whether its
+    /// decisions are made again, what was seen, and the simulator's flight over the same link.
+    ///
+    /// # Panics
+    /// If there is not exactly one, or it is refused.
+    pub fn replay_recording(&self, folder: &Path) -> serde_json::Value {
+        let entries = std::fs::read_dir(folder).unwrap_or_else(|error| panic!("{}: {error}", folder.display()));
+        let files: Vec<String> = entries.map(|entry| entry.expect("an entry").path().display().to_string()).collect();
+        assert_eq!(files.len(), 1, "{files:?}");
+        let words = self.words.iter().map(String::as_str);
+        let words: Vec<&str> = ["replay", "--session", &files[0], "--json"].into_iter().chain(words).collect();
+        let replayed = program::sim(folder, &words, SLACK);
+        assert_eq!(replayed.code, Some(0), "{}", replayed.stderr);
+        let document: serde_json::Value = serde_json::from_str(&replayed.stdout).expect("the outcome is JSON");
+        document["sessions"][0].clone()
     }
 
     /// The same flight in the simulator.

@@ -121,7 +121,7 @@ fn a_recording_replays_to_the_same_decisions() {
     assert_eq!(replayed.code, Some(0), "{}\n{}", replayed.stdout, replayed.stderr);
     let equal = replayed.stdout.lines().find(|line| line.contains("decisions equal")).unwrap_or_default();
     let counts: Vec<&str> = equal.split_whitespace().filter(|word| word.parse::<u64>().is_ok()).collect();
-    assert!(counts.len() == 2 && counts[0] == counts[1], "{}", replayed.stdout);
+    assert!(counts.len() == 4 && counts[0] == counts[1] && counts[2] == counts[3], "{}", replayed.stdout);
 }
 
 #[test]

@@ -98,19 +98,12 @@ pub(crate) fn parse(bytes: &[u8], fetch: &dyn Fn(&str) -> Option<Vec<u8>>) -> Re
         let found = format!("{:?}; expected \"b3dm\", \"glTF\" or another tile format", String::from_utf8_lossy(start));
         return Err(ContentError::new("byte 0", found));
     };
-    let mut relative_to = DVec3::ZERO;
-    let geometry = match kind {
-        ContentKind::Gltf => mesh::read(bytes, None, fetch)?,
-        ContentKind::Glb => read_glb(bytes, 0, fetch)?,
-        ContentKind::B3dm => {
-            let (glb_at, centre) = b3dm(bytes)?;
-            relative_to = centre;
-            read_glb(&bytes[glb_at..], glb_at, fetch)?
-        }
+    let (geometry, relative_to) = match gltf(bytes)? {
+        Some((json, binary, centre)) => (mesh::read(json, binary, fetch)?, centre),
         // Counted as they are on the wire: decoding may unfold them, but never to less.
-        ContentKind::I3dm | ContentKind::Pnts | ContentKind::Cmpt => {
+        None => {
             header(bytes)?;
-            Geometry { decoded_bytes: bytes.len() as u64, ..Geometry::default() }
+            (Geometry { decoded_bytes: bytes.len() as u64, ..Geometry::default() }, DVec3::ZERO)
         }
     };
     Ok(Content { kind, geometry, relative_to })
@@ -167,8 +160,8 @@ fn b3dm(bytes: &[u8]) -> Result<(usize, DVec3), ContentError> {
     Ok((end, centre))
 }
 
-/// Reads a GLB that begins at byte `offset` of its file.
-fn read_glb(bytes: &[u8], offset: usize, fetch: &dyn Fn(&str) -> Option<Vec<u8>>) -> Result<Geometry, ContentError> {
+/// The JSON and the binary chunk of a GLB that begins at byte `offset` of its file.
+fn glb_chunks(bytes: &[u8], offset: usize) -> Result<(&[u8], Option<&[u8]>), ContentError> {
     let place = |at: usize| format!("byte {}", offset + at);
     let shift = |error: ContentError| ContentError { place: place(bytes.len()), ..error };
     if !bytes.starts_with(b"glTF") {
@@ -199,7 +192,22 @@ fn read_glb(bytes: &[u8], offset: usize, fetch: &dyn Fn(&str) -> Option<Vec<u8>>
         at += 8 + size;
     }
     let json = json.ok_or_else(|| ContentError::new(place(12), "no JSON chunk; expected one"))?;
-    mesh::read(json, binary, fetch)
+    Ok((json, binary))
+}
+
+/// The glTF inside a content: its JSON, its binary chunk, and the centre that it is relative to. `None` for the kinds that
+/// are not read.
+#[expect(clippy::type_complexity, reason = "three parts of one file")]
+pub(super) fn gltf(bytes: &[u8]) -> Result<Option<(&[u8], Option<&[u8]>, DVec3)>, ContentError> {
+    Ok(match kind(bytes) {
+        Some(ContentKind::Gltf) => Some((bytes, None, DVec3::ZERO)),
+        Some(ContentKind::Glb) => glb_chunks(bytes, 0).map(|(json, binary)| Some((json, binary, DVec3::ZERO)))?,
+        Some(ContentKind::B3dm) => {
+            let (at, centre) = b3dm(bytes)?;
+            glb_chunks(&bytes[at..], at).map(|(json, binary)| Some((json, binary, centre)))?
+        }
+        _ => None,
+    })
 }
 
 /// What a content shows under the linear part of a transform; its translation is to be added.

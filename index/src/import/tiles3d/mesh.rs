@@ -44,28 +44,26 @@ pub(crate) struct Geometry {
     pub(crate) missing_files: Vec<String>,
 }
 
-/// Reads the geometry of an asset. `binary` is the GLB's binary chunk; `fetch` reads a file that the asset names.
-pub(crate) fn read(
-    json: &[u8],
-    binary: Option<&[u8]>,
-    fetch: &dyn Fn(&str) -> Option<Vec<u8>>,
-) -> Result<Geometry, ContentError> {
+/// A glTF asset's JSON.
+pub(super) fn root(json: &[u8]) -> Result<Root, ContentError> {
     let root = Root::from_slice(json)
         .map_err(|error| ContentError::new("glTF JSON", format!("{error}; expected a glTF 2.0 asset")))?;
     if !root.asset.version.starts_with("2.") {
         let found = format!("version {:?}; expected \"2.0\"", root.asset.version);
         return Err(ContentError::new("$.asset.version", found));
     }
+    Ok(root)
+}
+
+/// Reads the geometry of an asset. `binary` is the GLB's binary chunk; `fetch` reads a file that the asset names.
+pub(crate) fn read(
+    json: &[u8],
+    binary: Option<&[u8]>,
+    fetch: &dyn Fn(&str) -> Option<Vec<u8>>,
+) -> Result<Geometry, ContentError> {
+    let root = root(json)?;
     let mut geometry = Geometry { exact: true, ..Geometry::default() };
-    let mut buffers = Vec::with_capacity(root.buffers.len().min(1024));
-    for (index, buffer) in root.buffers.iter().enumerate() {
-        buffers.push(match &buffer.uri {
-            None if index == 0 => binary.map(Cow::Borrowed),
-            None => None,
-            Some(uri) => resource(uri, fetch, &mut geometry).map(Cow::Owned),
-        });
-    }
-    let mut asset = Asset { root: &root, buffers };
+    let asset = Asset::open(&root, binary, fetch, &mut geometry);
     asset.images(fetch, &mut geometry);
     asset.count_buffers(&mut geometry);
     asset.place(&mut geometry)?;
@@ -73,7 +71,7 @@ pub(crate) fn read(
 }
 
 /// The bytes behind a data URI or a file's name.
-fn resource(uri: &str, fetch: &dyn Fn(&str) -> Option<Vec<u8>>, geometry: &mut Geometry) -> Option<Vec<u8>> {
+pub(super) fn resource(uri: &str, fetch: &dyn Fn(&str) -> Option<Vec<u8>>, geometry: &mut Geometry) -> Option<Vec<u8>> {
     if let Some(data) = uri.strip_prefix("data:") {
         return STANDARD.decode(data.split_once(";base64,")?.1).ok();
     }
@@ -88,21 +86,36 @@ fn resource(uri: &str, fetch: &dyn Fn(&str) -> Option<Vec<u8>>, geometry: &mut G
     bytes
 }
 
-struct Asset<'a> {
-    root: &'a Root,
+/// An asset with the bytes of its buffers.
+pub(super) struct Asset<'a> {
+    pub(super) root: &'a Root,
     buffers: Vec<Option<Cow<'a, [u8]>>>,
 }
 
-impl Asset<'_> {
+impl<'a> Asset<'a> {
+    /// Reads the buffers; what is missing is noted in `geometry`.
+    pub(super) fn open(
+        root: &'a Root,
+        binary: Option<&'a [u8]>,
+        fetch: &dyn Fn(&str) -> Option<Vec<u8>>,
+        geometry: &mut Geometry,
+    ) -> Asset<'a> {
+        let mut buffers = Vec::with_capacity(root.buffers.len().min(1024));
+        for (index, buffer) in root.buffers.iter().enumerate() {
+            buffers.push(match &buffer.uri {
+                None if index == 0 => binary.map(Cow::Borrowed),
+                None => None,
+                Some(uri) => resource(uri, fetch, geometry).map(Cow::Owned),
+            });
+        }
+        Asset { root, buffers }
+    }
+
     /// Adds each image that a texture shows: 4 bytes a pixel, and a third more for the mips.
-    fn images(&mut self, fetch: &dyn Fn(&str) -> Option<Vec<u8>>, geometry: &mut Geometry) {
+    fn images(&self, fetch: &dyn Fn(&str) -> Option<Vec<u8>>, geometry: &mut Geometry) {
         let mut shown = BTreeSet::new();
         for texture in &self.root.textures {
-            // An extension's image (WebP, KTX2) is shown in place of the fallback.
-            let extensions = texture.extensions.iter().flat_map(|extensions| extensions.others.values());
-            let extended =
-                extensions.filter_map(|extension| usize::try_from(extension.get("source")?.as_u64()?).ok()).next();
-            shown.insert(extended.unwrap_or(texture.source.value()));
+            shown.insert(shown_image(texture));
         }
         for image in shown.into_iter().filter_map(|index| self.root.images.get(index)) {
             let fetched;
@@ -125,7 +138,7 @@ impl Asset<'_> {
     }
 
     /// The bytes of a buffer view and its stride; `None` if it lies outside its buffer or is compressed.
-    fn view(&self, index: usize) -> Option<(&[u8], Option<usize>)> {
+    pub(super) fn view(&self, index: usize) -> Option<(&[u8], Option<usize>)> {
         let view = self.root.buffer_views.get(index)?;
         let compressed = |name: &String| name.ends_with("_meshopt_compression");
         if view.extensions.iter().any(|extensions| extensions.others.keys().any(compressed)) {
@@ -154,8 +167,22 @@ impl Asset<'_> {
         }
     }
 
-    /// Walks the scene and places every mesh.
+    /// Places every mesh.
     fn place(&self, geometry: &mut Geometry) -> Result<(), ContentError> {
+        self.walk(&mut |node, transform, primitives| {
+            geometry.instanced |=
+                node.extensions.iter().any(|extensions| extensions.others.contains_key("EXT_mesh_gpu_instancing"));
+            for primitive in primitives {
+                self.primitive(primitive, transform, geometry);
+            }
+        })
+    }
+
+    /// Walks the scene: each node with its transform and the primitives of its mesh.
+    pub(super) fn walk(
+        &self,
+        visit: &mut dyn FnMut(&gltf::json::Node, &DMat4, &[Primitive]),
+    ) -> Result<(), ContentError> {
         let root = self.root;
         let mut seen = vec![false; root.nodes.len()];
         let mut stack: Vec<(usize, DMat4)> = Vec::new();
@@ -186,20 +213,17 @@ impl Asset<'_> {
             if !transform.is_finite() {
                 return Err(ContentError::new(place(), "a transform that is not finite; expected numbers".to_owned()));
             }
-            if node.extensions.iter().any(|extensions| extensions.others.contains_key("EXT_mesh_gpu_instancing")) {
-                geometry.instanced = true;
-            }
-            if let Some(mesh) = node.mesh {
-                let Some(mesh) = root.meshes.get(mesh.value()) else {
-                    return Err(ContentError::new(
-                        place(),
-                        format!("mesh {}; expected one of {}", mesh.value(), root.meshes.len()),
-                    ));
-                };
-                for primitive in &mesh.primitives {
-                    self.primitive(primitive, &transform, geometry);
-                }
-            }
+            let primitives = match node.mesh {
+                None => &[][..],
+                Some(mesh) => match root.meshes.get(mesh.value()) {
+                    Some(mesh) => &mesh.primitives,
+                    None => {
+                        let found = format!("mesh {}; expected one of {}", mesh.value(), root.meshes.len());
+                        return Err(ContentError::new(place(), found));
+                    }
+                },
+            };
+            visit(node, &transform, primitives);
             stack.extend(node.children.iter().flatten().rev().map(|child| (child.value(), transform)));
         }
         Ok(())
@@ -262,7 +286,7 @@ impl Asset<'_> {
     }
 
     /// The elements of an accessor; `None` if they are not there, compressed, sparse or out of range.
-    fn elements(&self, accessor: &Accessor) -> Option<Elements<'_>> {
+    pub(super) fn elements(&self, accessor: &Accessor) -> Option<Elements<'_>> {
         if accessor.sparse.is_some() {
             return None;
         }
@@ -285,6 +309,13 @@ impl Asset<'_> {
             normalized: accessor.normalized,
         })
     }
+}
+
+/// The image that a texture shows: an extension's (WebP, KTX2) in place of the fallback.
+pub(super) fn shown_image(texture: &gltf::json::Texture) -> usize {
+    let extensions = texture.extensions.iter().flat_map(|extensions| extensions.others.values());
+    let extended = extensions.filter_map(|extension| usize::try_from(extension.get("source")?.as_u64()?).ok()).next();
+    extended.unwrap_or(texture.source.value())
 }
 
 /// A node's own transform.
@@ -341,18 +372,18 @@ fn normalisation(kind: ComponentType) -> f64 {
 }
 
 /// An accessor's elements, every one of which lies inside `bytes`.
-struct Elements<'a> {
+pub(super) struct Elements<'a> {
     bytes: &'a [u8],
     stride: usize,
-    count: usize,
+    pub(super) count: usize,
     kind: ComponentType,
-    components: usize,
+    pub(super) components: usize,
     normalized: bool,
 }
 
 impl Elements<'_> {
     /// One component as stored; integers without their normalisation.
-    fn component(&self, element: usize, component: usize) -> f64 {
+    pub(super) fn component(&self, element: usize, component: usize) -> f64 {
         let at = element * self.stride + component * self.kind.size();
         let b = &self.bytes[at..];
         match self.kind {
@@ -365,12 +396,17 @@ impl Elements<'_> {
         }
     }
 
+    /// One component as it is meant.
+    pub(super) fn normalised(&self, element: usize, component: usize) -> f64 {
+        let scale = if self.normalized { normalisation(self.kind) } else { 1.0 };
+        self.component(element, component) * scale
+    }
+
     /// A vertex; NaN if the elements have fewer than 3 components.
-    fn vec3(&self, element: usize) -> DVec3 {
+    pub(super) fn vec3(&self, element: usize) -> DVec3 {
         if self.components < 3 {
             return DVec3::NAN;
         }
-        let scale = if self.normalized { normalisation(self.kind) } else { 1.0 };
-        DVec3::new(self.component(element, 0), self.component(element, 1), self.component(element, 2)) * scale
+        DVec3::new(self.normalised(element, 0), self.normalised(element, 1), self.normalised(element, 2))
     }
 }

@@ -15,6 +15,8 @@ mod mesh;
 mod resolve;
 mod source;
 mod subtree;
+#[cfg(feature = "orthoviews")]
+pub mod surface;
 mod volume;
 mod walk;
 
@@ -152,20 +154,24 @@ pub(crate) fn load(file: &Path, most: usize) -> Result<Loaded, Tiles3dError> {
     let Some(name) = file.file_name().and_then(|name| name.to_str()) else {
         return Err(Tiles3dError::Io { file: file.to_owned(), source: unnamed() });
     };
-    let manifest_file = path.join("manifest.json");
-    let manifest = match std::fs::read(&manifest_file) {
-        // Only a mosaic's own manifest counts; any other file of that name is none of ours.
-        Ok(bytes) if bytes.windows(manifest::FORMAT.len()).any(|part| part == manifest::FORMAT.as_bytes()) => {
-            let parsed = manifest::parse(&bytes);
-            Some(parsed.map_err(|source| Tiles3dError::Manifest { file: manifest_file, source })?)
-        }
-        _ => None,
-    };
+    let manifest = manifest_beside(&path)?;
     let stem = if name == "tileset.json" { named_folder(&path) } else { None };
     let mut loaded = load_from(Source::Files(path), manifest, name, most)?;
     loaded.world.name = stem
         .unwrap_or_else(|| Path::new(name).file_stem().map_or_else(String::new, |s| s.to_string_lossy().into_owned()));
     Ok(loaded)
+}
+
+/// The manifest of a mosaic in a folder. Only a mosaic's own counts; any other file of that name is none of ours.
+fn manifest_beside(folder: &Path) -> Result<Option<Manifest>, Tiles3dError> {
+    let file = folder.join("manifest.json");
+    match std::fs::read(&file) {
+        Ok(bytes) if bytes.windows(manifest::FORMAT.len()).any(|part| part == manifest::FORMAT.as_bytes()) => {
+            let parsed = manifest::parse(&bytes);
+            Ok(Some(parsed.map_err(|source| Tiles3dError::Manifest { file, source })?))
+        }
+        _ => Ok(None),
+    }
 }
 
 /// Opens the tileset `name` of a source. The world is left without a name.

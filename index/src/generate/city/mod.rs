@@ -4,6 +4,13 @@
 //! The tree is an LOD-R-tree: districts in a quadtree, each with simplified geometry whose error doubles from level to
 //! level; then blocks; then buildings with three levels of detail, the finest of which refines the middle one.
 
+#[cfg(feature = "textures")]
+mod facade;
+#[cfg(feature = "textures")]
+pub mod geometry;
+#[cfg(feature = "textures")]
+mod model;
+
 use foresight_scheduler::lod_tree::{Aabb, LodTreeBuilder, LodTreeError, RepId, Representation};
 use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
@@ -107,10 +114,16 @@ impl Params for CityParams {
 
 /// Builds a city. The same parameters give the same world on every machine.
 pub fn city(params: &CityParams) -> Result<World, GenerateError> {
+    Ok(laid_out(params)?.0)
+}
+
+/// A city with what stands in each of its leaves, in the leaves' order.
+fn laid_out(params: &CityParams) -> Result<(World, Vec<Standing>), GenerateError> {
     params.check()?;
-    let mut city = City { params, builder: LodTreeBuilder::default(), uris: UriTableBuilder::default() };
+    let (builder, uris) = (LodTreeBuilder::default(), UriTableBuilder::default());
+    let mut city = City { params, builder, uris, standing: Vec::new() };
     city.district([0, params.blocks_x, 0, params.blocks_y])?;
-    Ok(World {
+    let world = World {
         name: "city".to_owned(),
         kind: WorldKind::City,
         tree: city.builder.finish()?,
@@ -119,7 +132,16 @@ pub fn city(params: &CityParams) -> Result<World, GenerateError> {
         ground: Ground::Flat(0.0),
         georeference: None,
         notes: Vec::new(),
-    })
+    };
+    Ok((world, city.standing))
+}
+
+/// What stands in a leaf.
+#[derive(Clone, Copy, Debug)]
+enum Standing {
+    Ground(Rectangle),
+    Tree { at: DVec2, radius: f64, height: f64 },
+    Building { footprint: Rectangle, height: f64 },
 }
 
 /// A rectangle on the ground, metres.
@@ -165,6 +187,7 @@ struct City<'a> {
     params: &'a CityParams,
     builder: LodTreeBuilder,
     uris: UriTableBuilder,
+    standing: Vec<Standing>,
 }
 
 impl City<'_> {
@@ -239,6 +262,7 @@ impl City<'_> {
         self.add(&coarse, None, folder, "ground-0.glb")?;
         let fine = Level { wire: random.within(40e3, 90e3), unfolds: random.within(6.0, 10.0), error: 0.05 };
         self.add(&fine, None, folder, "ground-1.glb")?;
+        self.standing.push(Standing::Ground(whole));
         self.builder.close(Some(whole.raised(-0.2, 0.0)), 1.0)
     }
 
@@ -253,6 +277,7 @@ impl City<'_> {
         let mesh = Level { wire: random.within(12e3, 30e3), unfolds: random.within(4.0, 7.0), error: 0.05 };
         self.add(&mesh, None, folder, &format!("tree-{index}-1.glb"))?;
         let around = Rectangle { min: at - radius, max: at + radius };
+        self.standing.push(Standing::Tree { at, radius, height });
         self.builder.close(Some(around.raised(0.0, height)), 1.0)
     }
 
@@ -281,6 +306,7 @@ impl City<'_> {
         self.add(&unfold(model), None, folder, &format!("building-{index}-0.glb"))?;
         let middle = self.add(&unfold(textured), None, folder, &format!("building-{index}-1.glb"))?;
         self.add(&unfold(facades), Some(middle), folder, &format!("building-{index}-2.glb"))?;
+        self.standing.push(Standing::Building { footprint, height });
         self.builder.close(Some(footprint.raised(0.0, height)), 1.0)
     }
 
