@@ -134,7 +134,7 @@ impl Client {
     ///
     /// # Panics
     /// If the server sends what is no list of its messages.
-    pub fn next(&mut self) -> Received {
+    pub fn read(&mut self) -> Received {
         loop {
             let frame = match self.socket.read() {
                 Ok(Message::Text(text)) => text.as_bytes().to_vec(),
@@ -161,7 +161,7 @@ impl Client {
     /// If the connection ends before.
     pub fn until<T>(&mut self, mut pick: impl FnMut(&ServerMessage) -> Option<T>) -> T {
         loop {
-            match self.next() {
+            match self.read() {
                 Received::Messages(messages) => {
                     if let Some(found) = messages.iter().find_map(&mut pick) {
                         return found;
@@ -197,7 +197,7 @@ impl Client {
             }
             self.views += 1;
             assert!(self.send(&[view(self.now_ns(), self.views)]), "the view is sent");
-            match self.next() {
+            match self.read() {
                 Received::Nothing => {}
                 Received::Messages(messages) => {
                     self.pending.extend(messages.iter().filter_map(|message| match message {
@@ -235,7 +235,7 @@ impl Client {
                 return false;
             }
             loop {
-                match self.next() {
+                match self.read() {
                     Received::Messages(messages) => {
                         let objects = |message: &ServerMessage| matches!(message, ServerMessage::Error(error) if error.message.contains(&wanted));
                         if messages.iter().any(objects) {
@@ -268,7 +268,7 @@ impl Client {
     pub fn closed(&mut self) -> (Vec<String>, u16, String) {
         let mut errors = Vec::new();
         loop {
-            match self.next() {
+            match self.read() {
                 Received::Messages(messages) => {
                     errors.extend(messages.into_iter().filter_map(|message| match message {
                         ServerMessage::Error(error) => Some(error.message),
