@@ -163,6 +163,7 @@ impl Client {
         loop {
             match self.read() {
                 Received::Messages(messages) => {
+                    self.note(&messages);
                     if let Some(found) = messages.iter().find_map(&mut pick) {
                         return found;
                     }
@@ -199,16 +200,19 @@ impl Client {
             assert!(self.send(&[view(self.now_ns(), self.views)]), "the view is sent");
             match self.read() {
                 Received::Nothing => {}
-                Received::Messages(messages) => {
-                    self.pending.extend(messages.iter().filter_map(|message| match message {
-                        ServerMessage::Fetch(fetch) => Some(fetch.rep),
-                        _ => None,
-                    }))
-                }
+                Received::Messages(messages) => self.note(&messages),
                 other => panic!("expected an answer, not {other:?}"),
             }
         }
         panic!("nothing is to be fetched");
+    }
+
+    /// Remembers what it was told to fetch.
+    fn note(&mut self, messages: &[ServerMessage]) {
+        self.pending.extend(messages.iter().filter_map(|message| match message {
+            ServerMessage::Fetch(fetch) => Some(fetch.rep),
+            _ => None,
+        }));
     }
 
     /// Its clock: as many steps as it has sent views.
