@@ -134,7 +134,7 @@ impl Client {
     ///
     /// # Panics
     /// If the server sends what is no list of its messages.
-    pub fn next(&mut self) -> Received {
+    pub fn read(&mut self) -> Received {
         loop {
             let frame = match self.socket.read() {
                 Ok(Message::Text(text)) => text.as_bytes().to_vec(),
@@ -161,8 +161,9 @@ impl Client {
     /// If the connection ends before.
     pub fn until<T>(&mut self, mut pick: impl FnMut(&ServerMessage) -> Option<T>) -> T {
         loop {
-            match self.next() {
+            match self.read() {
                 Received::Messages(messages) => {
+                    self.note(&messages);
                     if let Some(found) = messages.iter().find_map(&mut pick) {
                         return found;
                     }
@@ -197,18 +198,21 @@ impl Client {
             }
             self.views += 1;
             assert!(self.send(&[view(self.now_ns(), self.views)]), "the view is sent");
-            match self.next() {
+            match self.read() {
                 Received::Nothing => {}
-                Received::Messages(messages) => {
-                    self.pending.extend(messages.iter().filter_map(|message| match message {
-                        ServerMessage::Fetch(fetch) => Some(fetch.rep),
-                        _ => None,
-                    }))
-                }
+                Received::Messages(messages) => self.note(&messages),
                 other => panic!("expected an answer, not {other:?}"),
             }
         }
         panic!("nothing is to be fetched");
+    }
+
+    /// Remembers what it was told to fetch.
+    fn note(&mut self, messages: &[ServerMessage]) {
+        self.pending.extend(messages.iter().filter_map(|message| match message {
+            ServerMessage::Fetch(fetch) => Some(fetch.rep),
+            _ => None,
+        }));
     }
 
     /// Its clock: as many steps as it has sent views.
@@ -235,7 +239,7 @@ impl Client {
                 return false;
             }
             loop {
-                match self.next() {
+                match self.read() {
                     Received::Messages(messages) => {
                         let objects = |message: &ServerMessage| matches!(message, ServerMessage::Error(error) if error.message.contains(&wanted));
                         if messages.iter().any(objects) {
@@ -268,7 +272,7 @@ impl Client {
     pub fn closed(&mut self) -> (Vec<String>, u16, String) {
         let mut errors = Vec::new();
         loop {
-            match self.next() {
+            match self.read() {
                 Received::Messages(messages) => {
                     errors.extend(messages.into_iter().filter_map(|message| match message {
                         ServerMessage::Error(error) => Some(error.message),

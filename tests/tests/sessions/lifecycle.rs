@@ -142,7 +142,7 @@ fn a_shadow_is_told_nothing_to_do() {
     assert!(client.send(&[ClientMessage::Bye]));
     let mut told = Vec::new();
     loop {
-        match client.next() {
+        match client.read() {
             Received::Messages(messages) => told.extend(messages),
             Received::Closed(..) => break,
             other => panic!("expected the end, not {other:?}"),

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use crate::WORLD;
 use foresight_tests::program;
-use foresight_tests::sidecar::client::{Client, hello, http, view};
+use foresight_tests::sidecar::client::{Client, hello, http};
 use foresight_tests::sidecar::process::Server;
 use foresight_wire::encoding::Encoding;
 use foresight_wire::message::{ClientMessage, Hello};
@@ -211,7 +211,7 @@ fn a_signal_ends_sessions_with_a_word() {
     let server = Server::start(folder.path(), &[&WORLD[..], &["--log", "json"]].concat());
     let mut client = Client::connect(server.port(), Encoding::Json);
     client.greet(Hello { client: Some("\"\u{7}".to_owned()), ..hello("w") });
-    assert!(client.send(&[view(0, 0)]));
+    client.fetch();
     let reading = std::thread::spawn(move || client.closed());
     let (code, log) = server.stop();
     assert_eq!(code, Some(0), "{log}");
@@ -220,5 +220,5 @@ fn a_signal_ends_sessions_with_a_word() {
     let lines: Vec<serde_json::Value> =
         log.lines().map(|line| serde_json::from_str(line).unwrap_or_else(|_| panic!("no JSON: {line:?}"))).collect();
     let end = lines.iter().find(|line| line["message"] == "session ends").expect("its line");
-    assert!(end["reason"] == "shutdown" && end["frames"] == 1, "{end}");
+    assert!(end["reason"] == "shutdown" && end["frames"].as_u64() >= Some(1), "{end}");
 }
