@@ -151,19 +151,24 @@ impl Case {
         self.world.tree.wire_bytes(foresight_scheduler::lod_tree::RepId(rep))
     }
 
-    /// Begins the flight with the headless client; `log` is where it writes its events.
-    pub fn start(&self, folder: &Path, server: &str, log: &str, options: &[&str]) -> Viewer {
-        let words = self.words.iter().map(String::as_str);
-        let mut given: Vec<&str> = Vec::new();
-        let mut words = words.peekable();
+    /// The case's words but for these options and their values.
+    fn words_without(&self, options: &[&str]) -> Vec<&str> {
+        let mut words = self.words.iter().map(String::as_str);
+        let mut kept = Vec::new();
         while let Some(word) = words.next() {
-            // The link is the server's.
-            if word == "--link" {
+            if options.contains(&word) {
                 words.next();
             } else {
-                given.push(word);
+                kept.push(word);
             }
         }
+        kept
+    }
+
+    /// Begins the flight with the headless client; `log` is where it writes its events.
+    pub fn start(&self, folder: &Path, server: &str, log: &str, options: &[&str]) -> Viewer {
+        // The link is the server's.
+        let mut given = self.words_without(&["--link"]);
         given.extend(["--events", log, "--json"]);
         given.extend(options);
         Viewer::start(folder, server, None, &given)
@@ -199,8 +204,9 @@ impl Case {
         let entries = std::fs::read_dir(folder).unwrap_or_else(|error| panic!("{}: {error}", folder.display()));
         let files: Vec<String> = entries.map(|entry| entry.expect("an entry").path().display().to_string()).collect();
         assert_eq!(files.len(), 1, "{files:?}");
-        let words = self.words.iter().map(String::as_str);
-        let words: Vec<&str> = ["replay", "--session", &files[0], "--json"].into_iter().chain(words).collect();
+        let mut words = vec!["replay", "--session", &files[0], "--json"];
+        // The recording has them.
+        words.extend(self.words_without(&["--memory", "--policy"]));
         let replayed = program::sim(folder, &words, SLACK);
         assert_eq!(replayed.code, Some(0), "{}", replayed.stderr);
         let document: serde_json::Value = serde_json::from_str(&replayed.stdout).expect("the outcome is JSON");
