@@ -1,9 +1,9 @@
 //! Sessions: connections in front, decision threads behind, and what outlives both.
 //!
-//! A connection ([`socket`], [`stream`]) reads frames and puts them into its session's [`mailbox`]; the session's decision
-//! thread ([`worker`]) works through them turn by turn and puts the answers into the connection's [`outgoing`] queue. Both
-//! have bounds, and neither side waits for the other. [`host`] knows which sessions there are; [`recorder`] and
-//! [`estimates`] each own a thread for what goes to the disk.
+//! A connection (`socket`, `stream`) reads frames and puts them into its session's `mailbox`; the session's decision
+//! thread (`worker`) works through them turn by turn and puts the answers into the connection's `outgoing` queue. Both
+//! have bounds, and neither side waits for the other. `host` knows which sessions there are; `recorder` and
+//! `estimates` each own a thread for what goes to the disk.
 
 pub mod access;
 mod admin;
