@@ -144,6 +144,18 @@ enum Standing {
     Building { footprint: Rectangle, height: f64 },
 }
 
+impl Standing {
+    fn bounds(self) -> Aabb {
+        match self {
+            Standing::Ground(whole) => whole.raised(-0.2, 0.0),
+            Standing::Tree { at, radius, height } => {
+                Rectangle { min: at - radius, max: at + radius }.raised(0.0, height)
+            }
+            Standing::Building { footprint, height } => footprint.raised(0.0, height),
+        }
+    }
+}
+
 /// A rectangle on the ground, metres.
 #[derive(Clone, Copy, Debug)]
 struct Rectangle {
@@ -262,8 +274,7 @@ impl City<'_> {
         self.add(&coarse, None, folder, "ground-0.glb")?;
         let fine = Level { wire: random.within(40e3, 90e3), unfolds: random.within(6.0, 10.0), error: 0.05 };
         self.add(&fine, None, folder, "ground-1.glb")?;
-        self.standing.push(Standing::Ground(whole));
-        self.builder.close(Some(whole.raised(-0.2, 0.0)), 1.0)
+        self.stand(Standing::Ground(whole))
     }
 
     fn tree(&mut self, inner: Rectangle, index: u32, random: &mut Random, folder: &str) -> Result<(), LodTreeError> {
@@ -276,9 +287,7 @@ impl City<'_> {
         self.add(&card, None, folder, &format!("tree-{index}-0.glb"))?;
         let mesh = Level { wire: random.within(12e3, 30e3), unfolds: random.within(4.0, 7.0), error: 0.05 };
         self.add(&mesh, None, folder, &format!("tree-{index}-1.glb"))?;
-        let around = Rectangle { min: at - radius, max: at + radius };
-        self.standing.push(Standing::Tree { at, radius, height });
-        self.builder.close(Some(around.raised(0.0, height)), 1.0)
+        self.stand(Standing::Tree { at, radius, height })
     }
 
     fn building(
@@ -306,8 +315,13 @@ impl City<'_> {
         self.add(&unfold(model), None, folder, &format!("building-{index}-0.glb"))?;
         let middle = self.add(&unfold(textured), None, folder, &format!("building-{index}-1.glb"))?;
         self.add(&unfold(facades), Some(middle), folder, &format!("building-{index}-2.glb"))?;
-        self.standing.push(Standing::Building { footprint, height });
-        self.builder.close(Some(footprint.raised(0.0, height)), 1.0)
+        self.stand(Standing::Building { footprint, height })
+    }
+
+    /// Closes a leaf around what stands in it.
+    fn stand(&mut self, standing: Standing) -> Result<(), LodTreeError> {
+        self.standing.push(standing);
+        self.builder.close(Some(standing.bounds()), 1.0)
     }
 
     fn add(&mut self, level: &Level, needs: Option<RepId>, folder: &str, file: &str) -> Result<RepId, LodTreeError> {
