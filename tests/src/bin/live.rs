@@ -1,6 +1,7 @@
 //! Plays flights over real sockets and in the simulator, and prints how far apart they are.
 
 use std::io::Write;
+use std::process::ExitCode;
 
 use clap::Parser;
 use foresight_tests::sidecar::case::Case;
@@ -23,6 +24,9 @@ struct Cli {
     /// How often each is flown
     #[arg(long, default_value_t = 1, value_name = "N")]
     times: u32,
+    /// Fail where a deficit differs by more than this many percent, or a decision is not made again
+    #[arg(long, value_name = "PERCENT")]
+    at_most: Option<f64>,
     /// Only simulate, to see pressure and deficit
     #[arg(long)]
     simulated: bool,
@@ -41,7 +45,8 @@ const CASES: [&str; 6] = [
      --link {data}/network/mahimahi_ATT-LTE-driving.down,scale=20 --memory 120MiB",
 ];
 
-fn main() {
+fn main() -> ExitCode {
+    let mut apart = false;
     let cli = Cli::parse();
     let data = foresight_tests::data_folder();
     let own = CASES.iter().filter(|line| data.is_some() || !line.contains("{data}")).map(ToString::to_string);
@@ -93,6 +98,11 @@ fn main() {
             server.stop();
             let replayed = case.replay_recording(&folder.path().join("recordings"));
             let (agreement, again) = (&replayed["agreement"], &replayed["simulated"]);
+            if let Some(percent) = cli.at_most {
+                // Whatever is no number is too far apart.
+                let near = difference * 100.0 <= percent;
+                apart |= !near || agreement["decisions_equal"] != agreement["decisions"];
+            }
             say(&format!(
                 "  recorded:  deficit {:.4}; {} of {} decisions are made again; {:.2} % from the simulator's {:.4}",
                 replayed["live"]["mean_deficit"].as_f64().unwrap_or(f64::NAN),
@@ -103,6 +113,7 @@ fn main() {
             ));
         }
     }
+    if apart { ExitCode::FAILURE } else { ExitCode::SUCCESS }
 }
 
 fn say(line: &str) {
