@@ -313,6 +313,16 @@ fn a_spin_of_a_day_is_bounded_work() {
     }
 }
 
+#[test]
+fn a_spin_before_areas_beyond_every_world_overflows_into_an_open_bound() {
+    let narrow = View { fov_y: 1e-9, ..view() };
+    let leg = Leg::new(&narrow, DVec3::ZERO, DVec3::new(0.0, 68.4, -99.5), 66.6, 140.6).unwrap();
+    let wide = Target::group(DVec3::new(0.0, -94.0, 0.0), DVec3::ZERO, DVec3::new(5e181, 0.0, 0.0)).unwrap();
+    let outcome = integrate(&benefit(leg, wide), &CERTIFIED).unwrap();
+    let Outcome::Certified(bounds) = outcome else { panic!("{outcome:?}") };
+    assert!(bounds.value.is_finite() && bounds.lower <= bounds.value && bounds.value <= bounds.upper, "{bounds:?}");
+}
+
 /// Floats as they come: ordinary, tiny, huge, special.
 fn float() -> impl Strategy<Value = f64> {
     prop_oneof![4 => -100.0..100.0f64, 1 => any::<f64>(), 1 => prop_oneof![Just(0.0), Just(1e-300), Just(1e30), Just(1e-9)]]

@@ -277,10 +277,11 @@ pub struct Origin(pub String);
 
 impl Value for Origin {
     fn read(texts: &[&str]) -> Option<Self> {
-        let text = single(texts)?;
+        // Browsers send origins in lower case.
+        let text = single(texts)?.to_ascii_lowercase();
         let host = text.strip_prefix("https://").or_else(|| text.strip_prefix("http://"))?;
         let plain = |c: char| c.is_ascii_alphanumeric() || ".-:[]".contains(c);
-        (!host.is_empty() && host.chars().all(plain)).then(|| Origin(text.to_ascii_lowercase()))
+        (!host.is_empty() && host.chars().all(plain)).then(|| Origin(text.clone()))
     }
 
     fn texts(&self) -> Vec<String> {

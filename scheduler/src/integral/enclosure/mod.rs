@@ -116,6 +116,8 @@ pub(super) fn integrate(benefit: &AddedBenefit, tolerance: f64, floor: f64, eval
     let (value, radius) = (sum.value * scale, (sum.radius.max(radius) * scale + 4.0 * ULP * sum.value * scale) * UP);
     let radius = radius + 4.0 * f64::MIN_POSITIVE;
     let (lower, upper) = ((value - radius).next_down().max(0.0), (value + radius).next_up());
+    // A sum beyond every number bounds nothing from above.
+    let (value, upper) = if upper.is_finite() { (value, upper) } else { (lower, f64::INFINITY) };
     let evaluations = evaluations.saturating_add(found.evaluations);
     if benefit.after > benefit.before {
         return Certified { value: -value, lower: -upper, upper: -lower, evaluations };
