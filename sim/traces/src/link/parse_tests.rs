@@ -186,7 +186,7 @@ fn recorded_links_load() {
 /// A folder of the recordings, or `None` where they are absent and that is allowed.
 fn data(folder: &str) -> Option<std::path::PathBuf> {
     let root = std::env::var_os("FORESIGHT_DATA").map_or_else(
-        || std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"),
+        || std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"),
         std::path::PathBuf::from,
     );
     let folder = root.join(folder);

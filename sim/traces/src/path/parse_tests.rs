@@ -172,7 +172,7 @@ fn recorded_paths_are_read_the_way_they_were_recorded() {
 /// A folder of the recordings, or `None` where they are absent and that is allowed.
 pub(super) fn data(folder: &str) -> Option<PathBuf> {
     let root = std::env::var_os("FORESIGHT_DATA")
-        .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"), PathBuf::from);
+        .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"), PathBuf::from);
     let folder = root.join(folder);
     if folder.is_dir() {
         return Some(folder);
