@@ -8,4 +8,6 @@ pub mod flight;
 pub mod link;
 pub mod path;
 pub mod random;
+#[cfg(test)]
+mod recorded;
 mod text_lines;

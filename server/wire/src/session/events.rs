@@ -132,13 +132,7 @@ impl Session<'_> {
     pub(super) fn adopt(&mut self, rep: RepId) -> bool {
         let state = self.scheduler.state();
         let is_usable = state.status(rep) == Status::Absent && state.has_prerequisite(rep);
-        if !is_usable || self.scheduler.preload(rep).is_err() {
-            return false;
-        }
-        // What the policy has planned is to be read anew.
-        let budget = self.scheduler.state().budget;
-        self.scheduler.set_budget(budget);
-        true
+        is_usable && self.scheduler.preload(rep).is_ok()
     }
 
     /// Gives up what needs `gone`, and all that needs that.

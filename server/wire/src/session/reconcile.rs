@@ -68,7 +68,6 @@ impl Session<'_> {
         let count = self.world.tree.representations();
         // What is needed first has the lower id.
         let reps: BTreeSet<u32> = resident.iter().copied().collect();
-        let mut is_changed = false;
         for rep in reps.into_iter().map(RepId) {
             if rep.index() >= count {
                 let message = format!("representation {} is said to be resident; the world has {count}", rep.0);
@@ -79,17 +78,11 @@ impl Session<'_> {
             if state.status(rep) != Status::Absent {
                 continue;
             }
-            if state.has_prerequisite(rep) && self.scheduler.preload(rep).is_ok() {
-                is_changed = true;
-            } else if !self.fetches_by_itself() {
+            let is_placed = state.has_prerequisite(rep) && self.scheduler.preload(rep).is_ok();
+            if !is_placed && !self.fetches_by_itself() {
                 self.let_go.insert(rep, self.clock.latest(), Vec::new());
                 answers.push(ServerMessage::Discard { rep: rep.0 });
             }
-        }
-        if is_changed {
-            // What the policy has planned is to be read anew.
-            let budget = self.scheduler.state().budget;
-            self.scheduler.set_budget(budget);
         }
     }
 }

@@ -5,6 +5,7 @@ use proptest::prelude::*;
 
 use super::parse::{ASSUMED_RTT, from_bytes, from_specification};
 use super::{LinkTrace, built_in};
+use crate::recorded::data;
 
 const MS: u64 = 1_000_000;
 const S: u64 = 1_000_000_000;
@@ -181,21 +182,6 @@ fn recorded_links_load() {
         }
     }
     assert!(loaded >= 12 && refused == 1, "{loaded} loaded, {refused} refused");
-}
-
-/// A folder of the recordings, or `None` where they are absent and that is allowed.
-fn data(folder: &str) -> Option<std::path::PathBuf> {
-    let root = std::env::var_os("FORESIGHT_DATA").map_or_else(
-        || std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"),
-        std::path::PathBuf::from,
-    );
-    let folder = root.join(folder);
-    if folder.is_dir() {
-        return Some(folder);
-    }
-    assert!(std::env::var("CI").as_deref() != Ok("true"), "{} is absent", folder.display());
-    println!("skipped: {} is absent", folder.display());
-    None
 }
 
 proptest! {

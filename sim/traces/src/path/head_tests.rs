@@ -4,8 +4,8 @@ use glam::{DQuat, DVec3};
 
 use super::head::Head;
 use super::parse::{Options, from_file};
-use super::parse_tests::data;
 use super::{CameraPath, Pose, teleport, turn};
+use crate::recorded::data;
 
 fn forward(orientation: DQuat) -> DVec3 {
     orientation * DVec3::NEG_Z

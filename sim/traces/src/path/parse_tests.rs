@@ -1,12 +1,11 @@
 //! Paths as they come, and as they must not; and what is read off the motion of recorded ones.
 
-use std::path::PathBuf;
-
 use glam::DVec3;
 use proptest::prelude::*;
 
 use super::parse::{Options, from_bytes, from_file};
 use super::{CameraAxes, CameraPath, QuatOrder};
+use crate::recorded::data;
 
 fn parse(text: &str) -> Result<CameraPath, String> {
     from_bytes("t", text.as_bytes(), &Options::default()).map_err(|error| error.to_string())
@@ -167,19 +166,6 @@ fn recorded_paths_are_read_the_way_they_were_recorded() {
     }
     let desk = from_file(&folder.join("handheld_tum_fr2_desk_gt.txt"), &Options::default()).unwrap();
     assert!(has_note(&desk, "gaps longer than"), "{:?}", desk.notes());
-}
-
-/// A folder of the recordings, or `None` where they are absent and that is allowed.
-pub(super) fn data(folder: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("FORESIGHT_DATA")
-        .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"), PathBuf::from);
-    let folder = root.join(folder);
-    if folder.is_dir() {
-        return Some(folder);
-    }
-    assert!(std::env::var("CI").as_deref() != Ok("true"), "{} is absent", folder.display());
-    println!("skipped: {} is absent", folder.display());
-    None
 }
 
 proptest! {

@@ -8,8 +8,8 @@ use proptest::prelude::*;
 
 use super::super::facts::PathFacts;
 use super::super::parse::{Format, Options, from_arrays, from_bytes, from_bytes_as, from_file, is_path_like};
-use super::super::parse_tests::data;
 use super::super::{CameraPath, Frame, Heights};
+use crate::recorded::data;
 
 fn parse_with(text: &str, options: &Options) -> Result<CameraPath, String> {
     from_bytes("t", text.as_bytes(), options).map_err(|error| error.to_string())

@@ -9,11 +9,11 @@ use proptest::prelude::*;
 
 use super::super::look::{Aim, aim};
 use super::super::parse::{Options, from_file};
-use super::super::parse_tests::data;
 use super::super::{CameraPath, Frame, Heights, Pose, built_in, turn};
 use super::flatten::flatten;
 use super::geo::from_projected as read_projected;
 use super::{Placement, geo, into_world};
+use crate::recorded::data;
 
 /// A path through places by degrees and metres, a second apart, looking along its motion.
 fn flight(places: &[[f64; 3]], heights: Heights) -> CameraPath {
