@@ -7,6 +7,7 @@
 //! by taking the smaller one frame by frame: the latter bounds the mean only.
 
 pub mod ascent;
+mod elements;
 pub mod exact;
 pub mod frame;
 pub mod over_time;
