@@ -71,6 +71,19 @@ impl Target {
         self
     }
 
+    /// One element of a surface that is given.
+    ///
+    /// # Errors
+    /// Areas that are NaN, negative or beyond 10³⁰ m², and an element that does not exist.
+    pub fn with_facet(mut self, facet: Facet) -> Result<Target, IntegralError> {
+        for area in facet.surface {
+            within("surface", f64::from(area), 0.0, 1e30, "0 to 1e30 m²")?;
+        }
+        within("element", f64::from(facet.element), 0.0, (ELEMENTS - 1) as f64, "0 to 13")?;
+        self.facet = Some(facet);
+        Ok(self)
+    }
+
     /// The element that is meant, if not all of the surface.
     pub fn facet(&self) -> Option<&Facet> {
         self.facet.as_ref()

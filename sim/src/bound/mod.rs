@@ -20,4 +20,4 @@ pub mod whole;
 
 pub use exact::exact;
 pub use frame::{CheapestBeneath, FrameBound, FrameDual, Limits};
-pub use tiny::{Instance, Stratum, bound, tiny};
+pub use tiny::{Instance, Stratum, bound, tiny, tiny_with_directions};

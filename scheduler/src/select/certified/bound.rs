@@ -54,9 +54,10 @@ impl ShownElements {
 }
 
 impl Target {
-    /// With `shown` instead of what it was made with.
+    /// With `shown` instead of what it was made with; of no worth where that is shown as well already.
     fn shown_as(self, shown: f64) -> Target {
-        Target { shown, ..self }
+        let density = if shown * shown <= self.least_squared { DVec3::ZERO } else { self.density };
+        Target { shown, density, ..self }
     }
 
     /// For candidates within `bounds` where everything is shown with an error of at most `shown` metres (∞: nothing).
@@ -79,9 +80,6 @@ impl Target {
             return with;
         }
         let shown_squared = self.shown * self.shown;
-        if shown_squared <= self.least_squared {
-            return 0.0;
-        }
         s * (shown_squared - self.least_squared) * with / (1.0 + shown_squared * s)
     }
 
@@ -179,12 +177,17 @@ impl Objective {
         elements: Option<&ShownElements>,
         out: &mut [f64],
     ) {
-        let term = &self.terms[term];
+        let (index, term) = (term, &self.terms[term]);
         let reachable = term.eye.is_reachable();
         let delta = (centre.abs() - half).max(DVec3::ZERO);
         let squared = delta.length_squared();
         let distance = squared.sqrt();
         let shown_from = term.eye.shown_distance(distance);
+        if let Some(elements) = elements {
+            let worst = elements.worst(centre, half, term.eye.reach());
+            let targets: Vec<Target> = targets.iter().map(|target| target.shown_as(worst)).collect();
+            return self.bound_from(index, weight, centre, half, &targets, None, out);
+        }
         if distance <= 0.0 || (!reachable && shown_from > distance) {
             out.fill(f64::INFINITY);
             return;
@@ -192,18 +195,16 @@ impl Objective {
         // Largest cosine between the directions into the box and each axis.
         let cosines = ((centre.abs() + half) * (1.0 / distance)).min(DVec3::ONE);
         let share = weight / squared;
-        let worst = elements.map(|elements| elements.worst(centre, half, term.eye.reach()));
-        let shown = |target: &Target| worst.map_or(*target, |worst| target.shown_as(worst));
         if reachable {
             let s = term.sharpness / (shown_from * shown_from);
             for (bound, target) in out.iter_mut().zip(targets) {
-                *bound += share * target.density.dot(cosines) * shown(target).added_up_to(s);
+                *bound += share * target.density.dot(cosines) * target.added_up_to(s);
             }
         } else {
             // Weight × accuracy added is s·Δa(s) up to constants, which rises with s: nearest counts most.
             let s = term.sharpness / squared;
             for (bound, target) in out.iter_mut().zip(targets) {
-                *bound += share * target.density.dot(cosines) * shown(target).added_at(s);
+                *bound += share * target.density.dot(cosines) * target.added_at(s);
             }
         }
     }
