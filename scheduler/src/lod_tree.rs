@@ -551,7 +551,13 @@ impl LodTree {
     /// the leaf told nothing, so that Σ max(0, n_s·u) S_s is then its area projected along u.
     pub fn surface(&self, node: NodeId) -> [f64; ELEMENTS] {
         match self.surface.get(node.index()) {
-            Some(areas) => areas.map(f64::from),
+            Some(areas) => {
+                let mut wide = [0.0; ELEMENTS];
+                for (wide, area) in wide.iter_mut().zip(areas) {
+                    *wide = f64::from(*area);
+                }
+                wide
+            }
             None => faces_of_box(self.area[node.index()]),
         }
     }
