@@ -24,6 +24,8 @@ pub mod runs;
 #[cfg(feature = "sessions")]
 pub mod sessions;
 pub mod specification;
+#[cfg(feature = "orthoviews")]
+pub mod surface;
 #[cfg(feature = "terrain")]
 pub mod terrain;
 pub mod uris;
