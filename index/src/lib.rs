@@ -26,6 +26,8 @@ pub mod sessions;
 pub mod specification;
 #[cfg(feature = "stored")]
 pub mod stored;
+#[cfg(feature = "orthoviews")]
+pub mod surface;
 #[cfg(feature = "terrain")]
 pub mod terrain;
 pub mod uris;
