@@ -65,6 +65,16 @@ impl Texture {
         Texture { levels }
     }
 
+    /// Width and height, texels.
+    pub fn size(&self) -> (usize, usize) {
+        (self.levels[0].0, self.levels[0].1)
+    }
+
+    /// The texels, row by row.
+    pub fn texels(&self) -> &[[u8; 4]] {
+        &self.levels[0].2
+    }
+
     /// Colour (linear light) and alpha at texture coordinates, averaged over a square of `footprint` of the whole:
     /// bilinear in the mip whose texels are at least that large.
     #[expect(clippy::cast_possible_truncation, reason = "texels of an image, reduced to its size")]
