@@ -359,7 +359,10 @@ impl Shade {
         let (low, high) = (first.min(second).min(third), first.max(second).max(third));
         Shade {
             depth: plane(depths),
-            depths: [depths.into_iter().fold(f64::INFINITY, f64::min), depths.into_iter().fold(-f64::INFINITY, f64::max)],
+            depths: [
+                depths.into_iter().fold(f64::INFINITY, f64::min),
+                depths.into_iter().fold(-f64::INFINITY, f64::max),
+            ],
             u: plane([u.x, v.x, w.x]),
             v: plane([u.y, v.y, w.y]),
             footprint: (texture / area.abs()).sqrt(),
@@ -508,7 +511,13 @@ mod tests {
         let drawn_by = |reach: f64| {
             let at = |t: f64| [4.1 + t, 3.9 + t, 2.0];
             let slope = [triangle([at(-reach), at(reach), [-reach, reach, 2.0]])];
-            let view = leaf(&octree, octree.root(), &lattice, [(&slope[..], &Plain([1.0; 3]) as &dyn Surface)], &mut Drawn::default());
+            let view = leaf(
+                &octree,
+                octree.root(),
+                &lattice,
+                [(&slope[..], &Plain([1.0; 3]) as &dyn Surface)],
+                &mut Drawn::default(),
+            );
             view.expect("half of it").pixels.iter().map(Pixel::is_some).collect::<Vec<_>>()
         };
         let near = drawn_by(64.0);
