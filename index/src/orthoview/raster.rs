@@ -3,6 +3,7 @@
 
 use super::composite;
 use super::image::{Frame, Lattice, Orthoview, Pixel};
+use super::texture::linear;
 use crate::octree::{Cell, Octree};
 use foresight_scheduler::lod_tree::Aabb;
 use glam::{DVec2, DVec3, I64Vec2};
@@ -33,8 +34,28 @@ pub struct Triangle {
     pub uv: [DVec2; 3],
     /// What it looks like.
     pub material: u32,
+    /// Colours of the corners, sRGB, interpolated and multiplied with the material's in linear light.
+    pub tint: [[u8; 3]; 3],
     /// Whether its back is seen too.
     pub two_sided: bool,
+}
+
+impl Triangle {
+    /// The tint that leaves a material as it is.
+    pub const WHITE: [[u8; 3]; 3] = [[255; 3]; 3];
+}
+
+impl Default for Triangle {
+    /// A white point at the origin.
+    fn default() -> Triangle {
+        Triangle {
+            corners: [DVec3::ZERO; 3],
+            uv: [DVec2::ZERO; 3],
+            material: 0,
+            tint: Triangle::WHITE,
+            two_sided: false,
+        }
+    }
 }
 
 /// What drawing did.
@@ -235,7 +256,12 @@ impl Canvas<'_> {
                 }
             }
             let uv = DVec2::new(shade.u.at(at), shade.v.at(at));
-            let Some(colour) = surface.colour(material, uv, shade.footprint) else { continue };
+            let Some(mut colour) = surface.colour(material, uv, shade.footprint) else { continue };
+            if let Some(tint) = &shade.tint {
+                for (channel, value) in colour.iter_mut().enumerate() {
+                    *value *= tint[channel].at(at).clamp(0.0, 1.0) as f32;
+                }
+            }
             drawn.samples += 1;
             *pixel = Pixel { depth: depth as f32, colour, normal: shade.normal };
         }
@@ -329,6 +355,8 @@ struct Shade {
     depths: [f64; 2],
     u: Plane,
     v: Plane,
+    /// Red, green and blue that colours are multiplied with; `None` for white.
+    tint: Option<[Plane; 3]>,
     /// Side of the square in texture coordinates that a pixel covers.
     footprint: f64,
     normal: [f32; 3],
@@ -365,6 +393,9 @@ impl Shade {
             ],
             u: plane([u.x, v.x, w.x]),
             v: plane([u.y, v.y, w.y]),
+            tint: (triangle.tint != Triangle::WHITE).then(|| {
+                [0, 1, 2].map(|channel| plane(triangle.tint.map(|corner| f64::from(linear(corner[channel])))))
+            }),
             footprint: (texture / area.abs()).sqrt(),
             normal: normal.normalize_or_zero().to_array().map(|v| v as f32),
             is_within: low.cmpge(holds.min).all() && high.cmple(holds.max).all(),
@@ -379,7 +410,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn triangle(corners: [[f64; 3]; 3]) -> Triangle {
-        Triangle { corners: corners.map(DVec3::from_array), uv: [DVec2::ZERO; 3], material: 0, two_sided: false }
+        Triangle { corners: corners.map(DVec3::from_array), ..Triangle::default() }
     }
 
     /// A square of side `side` at height z, facing up.
@@ -523,6 +554,30 @@ mod tests {
         let near = drawn_by(64.0);
         assert!(near.iter().filter(|some| **some).count() > 400);
         assert_eq!(near, drawn_by(1e6));
+    }
+
+    #[test]
+    fn tints_are_interpolated_in_linear_light() {
+        let octree = octree(8.0, 8.0);
+        let mut lit = triangle([[0.0, 0.0, 1.0], [8.0, 0.0, 1.0], [0.0, 8.0, 1.0]]);
+        lit.tint = [[0, 0, 0], [255, 0, 0], [0, 255, 0]];
+        let above = lattice(nine()[0], 0.5);
+        let surface = Plain([1.0, 0.5, 1.0]);
+        // Turned over it is the same from its other side, which is then its front.
+        let over = Triangle { corners: [lit.corners[0], lit.corners[2], lit.corners[1]], two_sided: true, ..lit };
+        let over = Triangle { tint: [lit.tint[0], lit.tint[2], lit.tint[1]], ..over };
+        for given in [lit, over] {
+            let mesh = [(&[given][..], &surface as &dyn Surface)];
+            let view = leaf(&octree, octree.root(), &above, mesh, &mut Drawn::default()).expect("something is there");
+            for (index, pixel) in view.pixels.iter().enumerate().filter(|(_, p)| p.is_some()) {
+                let at = view.position(&above, index).expect("present") / 8.0;
+                if at.x + at.y < 0.9 {
+                    let expected = [at.x, 0.5 * at.y, 0.0];
+                    let off = (0..3).map(|c| (f64::from(pixel.colour[c]) - expected[c]).abs()).fold(0.0, f64::max);
+                    assert!(off < 1e-5, "{at}: {:?}", pixel.colour);
+                }
+            }
+        }
     }
 
     /// Nearest hit of a ray from the eye's side, by Möller and Trumbore's formula: apart from the rasteriser.

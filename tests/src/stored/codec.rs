@@ -90,6 +90,33 @@ fn webp_lossy(rgb: &[u8], (width, height): (u32, u32), quality: f32) -> Vec<u8> 
     webp::Encoder::from_rgb(rgb, width, height).encode(quality).to_vec()
 }
 
+/// By libwebp, which searches longer than the encoder in Rust.
+fn libwebp_lossless(rgb: &[u8], (width, height): (u32, u32)) -> Vec<u8> {
+    webp::Encoder::from_rgb(rgb, width, height).encode_lossless().to_vec()
+}
+
+fn libwebp_sharp(rgb: &[u8], (width, height): (u32, u32), quality: f32) -> Vec<u8> {
+    let Ok(mut config) = webp::WebPConfig::new() else { return Vec::new() };
+    (config.quality, config.use_sharp_yuv) = (quality, 1);
+    webp::Encoder::from_rgb(rgb, width, height).encode_advanced(&config).map_or_else(|_| Vec::new(), |m| m.to_vec())
+}
+
+/// Each byte less the one `channels` before it, a channel after the other.
+fn differences(data: &[u8], channels: usize, width: usize) -> Vec<u8> {
+    let row = channels * width.max(1);
+    let off = |i: usize| {
+        let before = if i % row >= channels {
+            data[i - channels]
+        } else if i >= row {
+            data[i - row]
+        } else {
+            0
+        };
+        data[i].wrapping_sub(before)
+    };
+    (0..channels).flat_map(|c| (c..data.len()).step_by(channels).map(off)).collect()
+}
+
 fn jpeg(rgb: &[u8], (width, height): (u32, u32), quality: u8) -> Vec<u8> {
     let mut out = Vec::new();
     whole(JpegEncoder::new_with_quality(&mut out, quality).encode(rgb, width, height, ExtendedColorType::Rgb8));
@@ -174,6 +201,11 @@ fn colour_coders() -> Vec<(String, Coder<'static>)> {
         let encode = move |p: &Planes| jpeg(&p.colours, size(p), quality);
         coders.push((format!("JPEG {quality}"), lossy(encode, |b| again(b, ImageFormat::Jpeg))));
     }
+    coders.push(("WebP lossless, libwebp".to_owned(), lossless(|p| libwebp_lossless(&p.colours, size(p)))));
+    for quality in [75u8, 85, 95] {
+        let encode = move |p: &Planes| libwebp_sharp(&p.colours, size(p), f32::from(quality));
+        coders.push((format!("WebP {quality}, sharp chroma"), lossy(encode, |b| again(b, ImageFormat::WebP))));
+    }
     for quality in [50u8, 75, 85, 90, 95] {
         let encode = move |p: &Planes| webp_lossy(&p.colours, size(p), f32::from(quality));
         coders.push((format!("WebP {quality}"), lossy(encode, |b| again(b, ImageFormat::WebP))));
@@ -192,6 +224,10 @@ fn normal_coders() -> Vec<(String, Coder<'static>)> {
     let mut coders: Vec<(String, Coder<'static>)> = vec![
         ("PNG, 2 channels".to_owned(), lossless(|p| png(&p.normals, size(p), ExtendedColorType::La8))),
         ("WebP lossless".to_owned(), lossless(|p| webp_lossless(&padded(&p.normals), size(p)))),
+        ("WebP lossless, libwebp".to_owned(), lossless(|p| libwebp_lossless(&padded(&p.normals), size(p)))),
+        ("deflate 9".to_owned(), lossless(|p| deflate(&p.normals))),
+        ("deflate 9 of differences".to_owned(), lossless(|p| deflate(&differences(&p.normals, 2, p.rect.width())))),
+        ("zstd 19 of differences".to_owned(), lossless(|p| zstd(&differences(&p.normals, 2, p.rect.width())))),
     ];
     for bits in [6, 5] {
         let make: Coder<'static> = Box::new(move |p| {
@@ -233,6 +269,23 @@ fn depth_coders() -> Vec<(&'static str, Coder<'static>)> {
                 let rgb: Vec<u8> =
                     p.depths.iter().zip(&p.links).flat_map(|(d, l)| [(*d >> 8) as u8, *d as u8, *l]).collect();
                 webp_lossless(&rgb, size(p))
+            }),
+        ),
+        (
+            "WebP lossless, libwebp: low byte, high bits, links",
+            lossless(|p| {
+                let rgb: Vec<u8> =
+                    p.depths.iter().zip(&p.links).flat_map(|(d, l)| [*d as u8, (*d >> 8) as u8, *l]).collect();
+                libwebp_lossless(&rgb, size(p))
+            }),
+        ),
+        (
+            "WebP lossless, libwebp: predicted depths, links",
+            lossless(|p| {
+                let coded = predicted(p);
+                let (low, high) = coded.split_at(p.depths.len());
+                let rgb: Vec<u8> = low.iter().zip(high).zip(&p.links).flat_map(|((l, h), k)| [*l, *h, *k]).collect();
+                libwebp_lossless(&rgb, size(p))
             }),
         ),
         ("zstd 19 of 16 bits", lossless(|p| zstd(&native(&packed(p))))),

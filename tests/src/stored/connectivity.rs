@@ -7,7 +7,7 @@ use foresight_index::orthoview::raster::{Drawn, Plain, Surface, Triangle, leaf};
 use foresight_index::orthoview::{Lattice, Orthoview};
 use foresight_scheduler::lod_tree::Aabb;
 use foresight_traces::random::SplitMix64;
-use glam::{DVec2, DVec3};
+use glam::DVec3;
 use serde_json::json;
 
 use super::table::Table;
@@ -40,7 +40,7 @@ pub fn cases() -> Vec<Case> {
 }
 
 fn triangle(corners: [DVec3; 3]) -> Triangle {
-    Triangle { corners, uv: [DVec2::ZERO; 3], material: 0, two_sided: true }
+    Triangle { corners, two_sided: true, ..Triangle::default() }
 }
 
 fn quad(at: DVec3, right: DVec3, up: DVec3) -> [Triangle; 2] {

@@ -2,15 +2,17 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use foresight_index::generate::city::{CityParams, geometry};
 use foresight_index::generate::document::from_parts;
-use foresight_index::import::tiles3d::surface::{FinestContents, Surfaces};
 use foresight_index::octree::{Cell, Octree};
 use foresight_index::orthoview::build::{LeafContent, Made, Workshop, build};
-use foresight_index::orthoview::raster::{Surface, Triangle};
 use foresight_index::orthoview::direction::nine_about;
+use foresight_index::orthoview::raster::{Surface, Triangle};
 use foresight_index::orthoview::{Direction, Lattice, Orthoview};
+use foresight_index::specification::Progress;
+use foresight_index::surface::{SurfaceSource, Surfaces, open};
 use foresight_scheduler::lod_tree::{Aabb, NodeId, RepId};
 use rayon::prelude::*;
 
@@ -21,7 +23,7 @@ use super::sizes::{Geometry, Size};
 pub struct Scene {
     /// As it was asked for.
     pub name: String,
-    contents: FinestContents,
+    contents: Box<dyn SurfaceSource>,
     /// Cells over it.
     pub octree: Octree,
     /// Side of a leaf's pixel, metres.
@@ -70,14 +72,14 @@ impl Scene {
             }
             None => (PathBuf::from(world), None),
         };
-        let contents = FinestContents::open(&file).map_err(|e| Fault::new(world, e))?;
+        let quiet: Progress = Arc::new(|_, _| {});
+        let contents = open(&file.to_string_lossy(), &quiet).map_err(|e| Fault::new(world, e))?;
         let base = file.parent().unwrap_or(Path::new("."));
-        let up = foresight_index::world::open(&file).map_err(|e| Fault::new(world, e))?.up;
-        let sizes: Vec<(Aabb, usize, u64)> = (0..contents.len())
+        let sizes: Vec<(Aabb, usize, u64)> = (0..contents.pieces())
             .into_par_iter()
             .map(|index| {
                 let surfaces = contents.load(index).map_err(|e| Fault::new(world, e))?;
-                let bytes = std::fs::metadata(base.join(contents.file(index))).map_or(0, |m| m.len());
+                let bytes = std::fs::metadata(base.join(contents.name(index))).map_or(0, |m| m.len());
                 Ok((surfaces.bounds(), surfaces.triangles.len(), bytes))
             })
             .collect::<Result<_, Fault>>()?;
@@ -100,7 +102,7 @@ impl Scene {
             pitch: leaf / pixels,
             triangles: sizes.iter().map(|(_, triangles, _)| *triangles as u64).sum(),
             finest_bytes: sizes.iter().map(|(.., bytes)| bytes).sum(),
-            directions: nine_about(up),
+            directions: nine_about(contents.up()),
             file,
             contents,
             of_leaf,

@@ -66,18 +66,6 @@ pub struct Sizes {
     pub above: Vec<Vec<Images>>,
 }
 
-/// The code that a tree knows a direction by.
-pub fn code(direction: Direction) -> u8 {
-    let [x, y, z] = direction.signs();
-    u8::try_from(9 * (x + 1) + 3 * (y + 1) + z + 1).unwrap_or_default()
-}
-
-/// The unit vector of a code, towards the eye.
-pub fn towards_eye(code: u8) -> DVec3 {
-    let sign = |v: u8| f64::from(v) - 1.0;
-    DVec3::new(sign(code / 9), sign(code / 3 % 3), sign(code % 3)).normalize_or_zero()
-}
-
 impl Sizes {
     /// Builds all orthoviews of a scene whose leaves lie in one layer, and takes the files' sizes; the geometry's are those
     /// of its contents, each in the leaf of its middle.
@@ -234,7 +222,7 @@ impl Drawn<'_> {
                     decoded_bytes: size.decoded,
                     error,
                     prerequisite: None,
-                    direction: Some(code(direction)),
+                    direction: Some(direction.code()),
                 })?;
             }
         }

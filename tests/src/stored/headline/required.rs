@@ -1,9 +1,8 @@
 //! What a viewer needs to see everything around: \[HIBR\]'s cut, whatever the direction of view.
 
+use foresight_index::orthoview::Direction;
 use foresight_scheduler::lod_tree::{LodTree, NodeId, RepId};
 use glam::DVec3;
-
-use crate::stored::sizes::towards_eye;
 
 /// Orthoviews drawn per cell (\[HIBR\] §4.2).
 const DIRECTIONS_PER_CELL: usize = 3;
@@ -51,7 +50,10 @@ pub fn required(tree: &LodTree, eye: DVec3, allowed: f64) -> Vec<Shown> {
 
 /// Those at the smallest angles with `towards`.
 fn nearest(tree: &LodTree, mut images: Vec<RepId>, towards: DVec3) -> Vec<RepId> {
-    let cosine = |rep: RepId| tree.direction(rep).map_or(-2.0, |code| towards_eye(code).dot(towards));
+    let cosine = |rep: RepId| {
+        let direction = tree.direction(rep).and_then(Direction::from_code);
+        direction.map_or(f64::NEG_INFINITY, |d| d.towards_eye().dot(towards))
+    };
     images.sort_by(|&a, &b| cosine(b).total_cmp(&cosine(a)).then(a.cmp(&b)));
     images.truncate(DIRECTIONS_PER_CELL);
     images
