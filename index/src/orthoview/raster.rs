@@ -258,8 +258,8 @@ impl Canvas<'_> {
             let uv = DVec2::new(shade.u.at(at), shade.v.at(at));
             let Some(mut colour) = surface.colour(material, uv, shade.footprint) else { continue };
             if let Some(tint) = &shade.tint {
-                for (channel, value) in tint.iter().zip(&mut colour) {
-                    *value *= channel.at(at).clamp(0.0, 1.0) as f32;
+                for (channel, value) in colour.iter_mut().enumerate() {
+                    *value *= tint[channel].at(at).clamp(0.0, 1.0) as f32;
                 }
             }
             drawn.samples += 1;
@@ -355,7 +355,7 @@ struct Shade {
     depths: [f64; 2],
     u: Plane,
     v: Plane,
-    /// Linear light by channel; `None` leaves the material as it is.
+    /// Red, green and blue that colours are multiplied with; `None` for white.
     tint: Option<[Plane; 3]>,
     /// Side of the square in texture coordinates that a pixel covers.
     footprint: f64,
@@ -384,10 +384,6 @@ impl Shade {
         let normal = if turned { -normal } else { normal };
         let [u, v, w] = triangle.uv;
         let texture = (v - u).perp_dot(w - u).abs();
-        let tint = (triangle.tint != Triangle::WHITE).then(|| {
-            let corners = triangle.tint.map(|corner| corner.map(linear));
-            std::array::from_fn(|channel| plane(corners.map(|corner| f64::from(corner[channel]))))
-        });
         let (low, high) = (first.min(second).min(third), first.max(second).max(third));
         Shade {
             depth: plane(depths),
@@ -397,7 +393,9 @@ impl Shade {
             ],
             u: plane([u.x, v.x, w.x]),
             v: plane([u.y, v.y, w.y]),
-            tint,
+            tint: (triangle.tint != Triangle::WHITE).then(|| {
+                [0, 1, 2].map(|channel| plane(triangle.tint.map(|corner| f64::from(linear(corner[channel])))))
+            }),
             footprint: (texture / area.abs()).sqrt(),
             normal: normal.normalize_or_zero().to_array().map(|v| v as f32),
             is_within: low.cmpge(holds.min).all() && high.cmple(holds.max).all(),
