@@ -75,6 +75,11 @@ impl Texture {
         &self.levels[0].2
     }
 
+    /// Bytes of the texels of all mips.
+    pub fn bytes(&self) -> usize {
+        self.levels.iter().map(|level| level.2.len() * 4).sum()
+    }
+
     /// Colour (linear light) and alpha at texture coordinates, averaged over a square of `footprint` of the whole:
     /// bilinear in the mip whose texels are at least that large.
     #[expect(clippy::cast_possible_truncation, reason = "texels of an image, reduced to its size")]
