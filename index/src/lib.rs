@@ -11,11 +11,13 @@ pub mod database;
 pub mod format;
 pub mod generate;
 pub mod geodesy;
+#[cfg(feature = "geometry")]
+pub mod geometry;
 pub mod ground;
 pub mod import;
 #[cfg(feature = "tiles3d")]
 pub mod manifest;
-#[cfg(feature = "cityjson")]
+#[cfg(any(feature = "cityjson", feature = "geometry"))]
 mod mesh;
 pub mod octree;
 pub mod orthoview;
