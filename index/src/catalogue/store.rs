@@ -15,7 +15,7 @@ const MIGRATIONS: Migrations = Migrations {
 };
 
 /// Most rows of an answer.
-pub const ROWS_MAX: u32 = 100_000;
+pub(super) const ROWS_MAX: u32 = 100_000;
 
 /// An open catalogue.
 #[derive(Debug)]
