@@ -12,6 +12,9 @@ mod polygon;
 mod source;
 pub mod spool;
 
+#[cfg(test)]
+mod tests;
+
 pub use gltf::GltfFile;
 #[cfg(feature = "cityjson")]
 pub(crate) use inputs::file_identity;
@@ -19,7 +22,7 @@ pub(crate) use inputs::file_identity;
 pub(crate) use inputs::parameters_identity;
 pub use obj::ObjFile;
 pub use ply::PlyFile;
-pub use source::{SurfaceError, open};
+pub use source::{SurfaceError, is_mesh, open};
 
 use std::sync::Arc;
 
