@@ -35,6 +35,7 @@ pub(super) const GROUND_TEXTURE: f64 = 8.0;
 /// # Errors
 /// Parameters out of range, more than [`MAX_WRITTEN_TILES`] tiles, a folder that is not empty or cannot be written.
 pub fn write(params: &CityParams, out: &Path, progress: &mut dyn FnMut(u64, u64)) -> Result<Written, GenerateError> {
+    let params = &CityParams { orthoviews: 0, ..params.clone() };
     let (world, standing) = laid_out(params)?;
     let tree = &world.tree;
     let tiles = tree.representations() as u64;
