@@ -18,7 +18,7 @@ mod tests;
 pub use gltf::GltfFile;
 #[cfg(feature = "cityjson")]
 pub(crate) use inputs::file_identity;
-#[cfg(feature = "generated")]
+#[cfg(any(feature = "textures", feature = "terrain", feature = "asteroids"))]
 pub(crate) use inputs::parameters_identity;
 pub use obj::ObjFile;
 pub use ply::PlyFile;
