@@ -190,7 +190,7 @@ pub fn encode_model(origin: DVec3, parts: &[Part<'_>], images: &[&[u8]]) -> Vec<
 }
 
 /// The two chunks of a GLB; the binary's length is a multiple of 4.
-fn framed(json: &serde_json::Value, binary: &[u8]) -> Vec<u8> {
+pub(super) fn framed(json: &serde_json::Value, binary: &[u8]) -> Vec<u8> {
     let mut json = json.to_string().into_bytes();
     json.resize(json.len().next_multiple_of(4), b' ');
     let length = 12 + 8 + json.len() + 8 + binary.len();

@@ -11,10 +11,15 @@ pub mod geometry;
 #[cfg(feature = "textures")]
 mod model;
 mod orthoviews;
+#[cfg(all(feature = "orthoviews", feature = "textures"))]
+mod surfaces;
 
 use foresight_scheduler::lod_tree::{Aabb, LodTreeBuilder, LodTreeError, RepId, Representation};
 use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
+
+#[cfg(all(feature = "orthoviews", feature = "textures"))]
+pub use surfaces::CitySurfaces;
 
 use super::document::{GenerateError, Key, ParamError, Params, length, put, range};
 use super::random::Random;
