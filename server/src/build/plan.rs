@@ -217,16 +217,20 @@ fn automatic_side(survey: &Survey) -> f64 {
     libm::exp2(libm::round(libm::log2(side)))
 }
 
-/// `webp`, `png`, or `jpeg:QUALITY`.
+/// `webp:QUALITY`, `jpeg:QUALITY`, or without loss `webp` or `png`.
 ///
 /// # Errors
 /// Anything else.
 pub(super) fn colour_codec(text: &str) -> Result<ColourCodec, String> {
-    let expected = "expected webp (lossless), png, or jpeg:QUALITY with a quality from 1 to 100";
+    let expected = "expected webp (lossless), png, or webp:QUALITY or jpeg:QUALITY with a quality from 1 to 100";
     match text.split_once(':') {
         None if text == "webp" => Ok(ColourCodec::WebpLossless),
         None if text == "png" => Ok(ColourCodec::Png),
         None if text == "jpeg" => Ok(ColourCodec::Jpeg(85)),
+        Some(("webp", quality)) => match quality.parse() {
+            Ok(quality @ 1..=100) => Ok(ColourCodec::Webp(quality)),
+            _ => Err(expected.to_owned()),
+        },
         Some(("jpeg", quality)) => match quality.parse() {
             Ok(quality @ 1..=100) => Ok(ColourCodec::Jpeg(quality)),
             _ => Err(expected.to_owned()),
@@ -241,6 +245,7 @@ pub(super) fn codec_name(codec: ColourCodec) -> String {
         ColourCodec::Png => "png".to_owned(),
         ColourCodec::WebpLossless => "webp".to_owned(),
         ColourCodec::Jpeg(quality) => format!("jpeg:{quality}"),
+        ColourCodec::Webp(quality) => format!("webp:{quality}"),
     }
 }
 
