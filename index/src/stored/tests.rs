@@ -56,7 +56,7 @@ fn tree(
     (!node.children.is_empty()).then_some(node)
 }
 
-fn document(octree: &Octree, root: String) -> Document {
+fn document(octree: &Octree, root: String, hash: &page::Hash) -> Document {
     let mut document = Document {
         format: document::FORMAT.to_owned(),
         schema_version: document::SCHEMA_VERSION,
@@ -86,7 +86,7 @@ fn document(octree: &Octree, root: String) -> Document {
         notes: Vec::new(),
         previous: None,
     };
-    document.identity = document.identity_of(&document.root);
+    document.identity = document.identity_of(hash);
     document
 }
 
@@ -98,7 +98,7 @@ fn published(folder: &Path) -> Document {
     let root = tree(&octree, octree.root(), &|_| true, &mut write).expect("leaves are there");
     let root = packing::page_of(&Child::Node(root), &octree, SHARES, &mut write).expect("a page can be written");
     let Child::Page(cell, page) = root else { panic!("a page") };
-    let document = document(&octree, address::page(cell, &page.hash));
+    let document = document(&octree, address::page(cell, &page.hash), &page.hash);
     workplace.publish(&document).expect("a folder that can be written");
     document
 }
@@ -121,7 +121,8 @@ fn a_world_comes_back_from_its_pages() {
     assert_eq!(world.ground_height(DVec3::new(8.0, 8.0, 99.0)), Some(0.0));
     let again = super::open_document(folder.path()).expect("a document");
     assert_eq!(again, document);
-    assert_eq!(again.identity, again.identity_of(&again.root));
+    let root = std::fs::read(folder.path().join(&again.root)).expect("a page");
+    assert_eq!(again.identity, again.identity_of(&hash(&root)));
 }
 
 #[test]

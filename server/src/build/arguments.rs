@@ -4,7 +4,9 @@ use super::plan::colour_codec;
 use super::{BuildError, DirectionsWanted, Screen, Settings, Sharpness, build_world};
 use clap::Args;
 use foresight_index::catalogue::Location;
+use foresight_index::format::glb_compressed::Packing;
 use foresight_index::format::orthoview::ColourCodec;
+use foresight_index::geometry::GeometrySettings;
 use std::io::Write as _;
 use std::path::PathBuf;
 
@@ -60,6 +62,13 @@ pub struct BuildArgs {
     /// Orthoviews only
     #[arg(long)]
     no_geometry: bool,
+    /// How geometry is packed: compressed (readers need KHR_mesh_quantization and EXT_meshopt_compression), quantised (the
+    /// former), or floats (every reader of glTF 2.0)
+    #[arg(long, default_value = "compressed", value_name = "HOW", value_parser = packing, conflicts_with = "no_geometry")]
+    geometry: Packing,
+    /// Keep triangles that lie far away from everything else
+    #[arg(long)]
+    keep_strays: bool,
     /// Put the catalogue into this database (postgres://…) instead of a SQLite file in the folder
     #[arg(long, value_name = "URL")]
     database: Option<String>,
@@ -75,6 +84,15 @@ pub struct BuildArgs {
     /// Say nothing on standard error but errors
     #[arg(long)]
     quiet: bool,
+}
+
+fn packing(text: &str) -> Result<Packing, String> {
+    match text {
+        "compressed" => Ok(Packing::Compressed),
+        "quantised" => Ok(Packing::Quantised),
+        "floats" => Ok(Packing::Floats),
+        _ => Err("expected compressed, quantised or floats".to_owned()),
+    }
 }
 
 fn within(text: &str, from: f64, to: f64) -> Result<f64, String> {
@@ -110,7 +128,9 @@ pub fn run(arguments: &BuildArgs) -> anyhow::Result<()> {
         directions: arguments.directions.clone(),
         colour: arguments.colour,
         baked_lighting: arguments.baked_lighting,
-        geometry: !arguments.no_geometry,
+        geometry: (!arguments.no_geometry)
+            .then_some(GeometrySettings { packing: arguments.geometry, ..GeometrySettings::default() }),
+        keep_strays: arguments.keep_strays,
         database: arguments.database.as_deref().map(str::parse::<Location>).transpose()?,
         fresh: arguments.fresh,
         quiet: arguments.quiet,

@@ -14,19 +14,22 @@ pub use plan::{DirectionsWanted, PIXELS, Screen, Sharpness};
 
 use foresight_index::catalogue::{Catalogue, CatalogueError, Location};
 use foresight_index::format::orthoview::{ColourCodec, OrthoviewError};
+use foresight_index::geometry::{GeometryError, GeometrySettings};
 use foresight_index::import::tiles3d::ContentError;
 use foresight_index::octree::OctreeError;
 use foresight_index::orthoview::build;
 use foresight_index::stored::document::{self, Content, Document, Input, LeftOut, OctreeParts, Orthoviews, Previous};
 use foresight_index::stored::publish::Workplace;
 use foresight_index::stored::{Pages, StoredError, address, open_document};
-use foresight_index::surface::SurfaceError;
+use foresight_index::surface::spool::{Repairs, Spool, SpoolError, SpoolSettings, Statistics};
+use foresight_index::surface::{SurfaceError, SurfaceSource as _};
 use plan::{Plan, round};
 use progress::{Progress, span};
-use source::{Sources, Survey};
+use source::Sources;
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
-use workshop::{Occupied, Shop};
+use workshop::Shop;
 
 /// What is to be built, and how.
 #[derive(Clone, Debug)]
@@ -49,8 +52,10 @@ pub struct Settings {
     pub colour: ColourCodec,
     /// Whether light and shadow are in the colours, so that no normals are needed.
     pub baked_lighting: bool,
-    /// Whether leaves get their geometry.
-    pub geometry: bool,
+    /// How the leaves' geometry is made; `None` for none.
+    pub geometry: Option<GeometrySettings>,
+    /// Whether triangles far away from everything else are kept.
+    pub keep_strays: bool,
     /// Where the catalogue goes; a SQLite file in the folder if not given.
     pub database: Option<Location>,
     /// Whether an interrupted build is forgotten.
@@ -94,6 +99,12 @@ pub enum BuildError {
         /// Which.
         file: String,
     },
+    /// A part of an input cannot be put in order.
+    #[error(transparent)]
+    Spool(#[from] SpoolError),
+    /// The geometry of a leaf.
+    #[error(transparent)]
+    Geometry(#[from] GeometryError),
     /// The world's folder.
     #[error(transparent)]
     Stored(#[from] StoredError),
@@ -119,16 +130,17 @@ pub fn build_world(settings: &Settings) -> Result<Outcome, BuildError> {
         false => None,
     };
     let began = resume(settings, &sources, &workplace, &mut progress)?;
-    let survey = sources.survey(&|_| {})?;
-    let plan = plan::plan(settings, &survey)?;
-    say_plan(settings, &survey, &plan, &mut progress);
-    let occupied = Occupied::new(&plan.octree, &survey.pieces);
-    let mut shop = Shop::new(&plan, &sources, &occupied, &workplace, &mut progress);
+    let spool = sorted(settings, &sources, &workplace, &mut progress)?;
+    let survey = spool.statistics();
+    let plan = Arc::new(plan::plan(settings, *spool.octree(), survey, sources.up())?);
+    say_plan(settings, &sources, survey, &plan, &mut progress);
+    progress.begin_part();
+    let mut shop = Shop::new(plan.clone(), &spool, &workplace, &mut progress, sources.up());
     let made = build::build(&plan.octree, &plan.directions, plan.pixel, &mut shop)?;
-    let (root, summary) = shop.root()?.ok_or(BuildError::Nothing)?;
+    let (root, hash, summary) = shop.root()?.ok_or(BuildError::Nothing)?;
     let restored = shop.leaves_restored;
-    let mut document = document(settings, &sources, &survey, &plan, root, &summary);
-    document.identity = document.identity_of(&document.root);
+    let mut document = document(settings, &sources, survey, &plan, root, &summary);
+    document.identity = document.identity_of(&hash);
     document.previous = match published {
         // Built again without a change: the version before is still that one.
         Some(before) if before.identity == document.identity => before.previous,
@@ -147,6 +159,35 @@ pub fn build_world(settings: &Settings) -> Result<Outcome, BuildError> {
     let seconds = progress.seconds();
     progress.say(&format!("published {} in {}", &document.identity[..16], span(seconds)));
     Ok(Outcome::new(settings, &document, &made, &plan, outcome::Circumstances { began, restored, swept, seconds }))
+}
+
+/// The inputs' triangles, sorted into leaves; as an interrupted build left them, if it got so far.
+fn sorted(
+    settings: &Settings,
+    sources: &Sources,
+    workplace: &Workplace,
+    progress: &mut Progress,
+) -> Result<Spool, BuildError> {
+    const SIDE: &str = "leaf";
+    let noted = || Some(f64::from_le_bytes(std::fs::read(workplace.noted(SIDE)).ok()?.try_into().ok()?));
+    let leaf_side = match settings.leaf.or_else(noted) {
+        Some(side) => side,
+        None => {
+            progress.say("looking at the inputs for the size of leaves");
+            let side = sources.leaf_side(plan::TRIANGLES_A_LEAF)?;
+            workplace.note(SIDE, &side.to_le_bytes())?;
+            side
+        }
+    };
+    let spool = SpoolSettings { leaf_side, keep_strays: settings.keep_strays, ..SpoolSettings::default() };
+    let folder = workplace.noted("spool");
+    if let Some(spool) = Spool::open(&folder, sources.identity()?, &spool)? {
+        return Ok(spool);
+    }
+    let progress = Mutex::new(progress);
+    Ok(Spool::fill(sources, &folder, &spool, &|done, all| {
+        progress.lock().unwrap_or_else(PoisonError::into_inner).at("pieces sorted", done, all, done, "");
+    })?)
 }
 
 /// Whether an interrupted build goes on.
@@ -198,19 +239,21 @@ fn fingerprint(settings: &Settings, sources: &Sources) -> String {
         put(name);
         put(&blake3::Hash::from(identity).to_hex());
     }
-    let Settings { leaf, sharpness, screen, directions, colour, baked_lighting, geometry, .. } = settings;
-    put(&format!("{leaf:?} {sharpness:?} {screen:?} {directions:?} {colour:?} {baked_lighting} {geometry}"));
+    let Settings { leaf, sharpness, screen, directions, colour, baked_lighting, geometry, keep_strays, .. } = settings;
+    put(&format!(
+        "{leaf:?} {sharpness:?} {screen:?} {directions:?} {colour:?} {baked_lighting} {geometry:?} {keep_strays}"
+    ));
     hasher.finalize().to_hex().to_string()
 }
 
-fn say_plan(settings: &Settings, survey: &Survey, plan: &Plan, progress: &mut Progress) {
+fn say_plan(settings: &Settings, sources: &Sources, survey: &Statistics, plan: &Plan, progress: &mut Progress) {
     let side = plan.octree.leaf_side();
     let automatic = if settings.leaf.is_none() { " (automatic)" } else { "" };
     let extent = survey.bounds.max - survey.bounds.min;
     progress.say(&format!(
         "{} triangles in {} pieces, {:.1} × {:.1} × {:.1} m",
         survey.triangles,
-        survey.pieces.len(),
+        sources.pieces(),
         extent.x,
         extent.y,
         extent.z
@@ -239,7 +282,7 @@ fn say_plan(settings: &Settings, survey: &Survey, plan: &Plan, progress: &mut Pr
 fn document(
     settings: &Settings,
     sources: &Sources,
-    survey: &Survey,
+    survey: &Statistics,
     plan: &Plan,
     root: String,
     summary: &foresight_index::stored::page::Summary,
@@ -255,8 +298,16 @@ fn document(
         });
     }
     let mut notes = survey.left_out.clone();
-    if survey.not_finite > 0 {
-        notes.push(format!("{} triangles with corners that are not finite: left out", survey.not_finite));
+    let Repairs { not_finite, degenerate, strays, non_manifold_edges } = survey.repairs;
+    for (count, what) in [
+        (not_finite, "triangles with corners that are not finite: left out"),
+        (degenerate, "triangles without area: left out"),
+        (strays, "triangles far away from everything else: left out; --keep-strays keeps them"),
+        (non_manifold_edges, "edges of more than two triangles: kept"),
+    ] {
+        if count > 0 {
+            notes.push(format!("{count} {what}"));
+        }
     }
     Document {
         format: document::FORMAT.to_owned(),

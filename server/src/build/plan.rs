@@ -1,17 +1,19 @@
 //! What is built: settings as given, made whole by what the survey found, and what the world does not need.
 
-use super::source::Survey;
 use super::{BuildError, Settings};
 use foresight_index::format::orthoview::{ColourCodec, Encoding};
-use foresight_index::octree::{LEVELS_MAX, Octree};
+use foresight_index::geometry::GeometrySettings;
+use foresight_index::octree::Octree;
 use foresight_index::orthoview::Direction;
 use foresight_index::orthoview::direction::{Sight, choose, sight};
 use foresight_index::stored::document::{Directions, LeftOut};
+use foresight_index::surface::spool::Statistics;
+use glam::DVec3;
 use std::str::FromStr;
 
 /// Triangles that a leaf is to hold on average if its side is not given: some hundred kilobytes of geometry, about what its
 /// orthoviews take.
-const TRIANGLES_A_LEAF: f64 = 8192.0;
+pub(super) const TRIANGLES_A_LEAF: f64 = 8192.0;
 
 /// Directions are not added for less than this share of the surface, each area times the cosine gained.
 const LEAST_GAIN: f64 = 2e-3;
@@ -107,6 +109,8 @@ pub(super) struct Plan {
     pub sight: Directions,
     /// How images are kept.
     pub encoding: Encoding,
+    /// How geometry is made; `None` for none.
+    pub geometry: Option<GeometrySettings>,
     /// What the world does not need.
     pub left_out: Vec<LeftOut>,
 }
@@ -115,10 +119,9 @@ pub(super) struct Plan {
 ///
 /// # Errors
 /// Settings that contradict each other or the world.
-pub(super) fn plan(settings: &Settings, survey: &Survey) -> Result<Plan, BuildError> {
+pub(super) fn plan(settings: &Settings, octree: Octree, survey: &Statistics, up: DVec3) -> Result<Plan, BuildError> {
     let extent = survey.bounds.max - survey.bounds.min;
-    let side = settings.leaf.unwrap_or_else(|| automatic_side(survey));
-    let octree = Octree::over(survey.bounds, side)?;
+    let side = octree.leaf_side();
     let pixels = match settings.sharpness {
         Sharpness::Pixels(pixels) => pixels,
         Sharpness::Radius(radius) => settings.screen.pixels(side, radius),
@@ -156,8 +159,8 @@ pub(super) fn plan(settings: &Settings, survey: &Survey) -> Result<Plan, BuildEr
             let because = format!("none of {} adds as much of the surface, area times cosine gained", names.join(", "));
             leave_out(format!("{} directions", others.len()), because, LEAST_GAIN, "of the surface");
         }
-        let below = faces(survey, |z| z < -0.5);
-        if !directions.iter().any(|d| d.signs()[2] < 0) {
+        let below = faces(survey, |normal| normal.dot(up) < -0.5);
+        if !directions.iter().any(|d| d.towards_eye().dot(up) < -1e-9) {
             leave_out(
                 "directions from below".to_owned(),
                 "little faces down by more than 30°".to_owned(),
@@ -169,7 +172,7 @@ pub(super) fn plan(settings: &Settings, survey: &Survey) -> Result<Plan, BuildEr
     if settings.baked_lighting {
         leave_out("normals".to_owned(), "the lighting is baked, so none is lit anew".to_owned(), 0.0, "lights");
     }
-    if !settings.geometry {
+    if settings.geometry.is_none() {
         leave_out("geometry".to_owned(), "so wished".to_owned(), 0.0, "levels of detail");
     }
     Ok(Plan {
@@ -178,14 +181,15 @@ pub(super) fn plan(settings: &Settings, survey: &Survey) -> Result<Plan, BuildEr
         directions,
         sight: told(&seen),
         encoding: Encoding { colour: settings.colour, normals: !settings.baked_lighting },
+        geometry: settings.geometry,
         left_out,
     })
 }
 
-/// Share of the surface whose normal's z is so.
-fn faces(survey: &Survey, so: impl Fn(f64) -> bool) -> f64 {
-    let sum = |so: &dyn Fn(f64) -> bool| -> f64 {
-        survey.orientations.iter().filter(|(normal, _)| so(normal.z)).map(|(_, area)| area).sum()
+/// Share of the surface whose normal is so.
+fn faces(survey: &Statistics, so: impl Fn(DVec3) -> bool) -> f64 {
+    let sum = |so: &dyn Fn(DVec3) -> bool| -> f64 {
+        survey.orientations.iter().filter(|(normal, _)| so(*normal)).map(|(_, area)| area).sum()
     };
     let all = sum(&|_| true);
     if all > 0.0 { round(sum(&so) / all) } else { 0.0 }
@@ -203,18 +207,6 @@ fn told(sight: &Sight) -> Directions {
 /// To six places, for people.
 pub(super) fn round(value: f64) -> f64 {
     (value * 1e6).round() / 1e6
-}
-
-/// A power of two in metres, so that a leaf of the world's larger two extents holds [`TRIANGLES_A_LEAF`] on average.
-fn automatic_side(survey: &Survey) -> f64 {
-    let mut extents = (survey.bounds.max - survey.bounds.min).to_array();
-    extents.sort_by(f64::total_cmp);
-    let [_, second, largest] = extents;
-    let least = (largest / (1u64 << (LEVELS_MAX / 2)) as f64).max(1e-3);
-    let area = largest * second.max(least);
-    let side = (area * TRIANGLES_A_LEAF / (survey.triangles.max(1) as f64)).sqrt();
-    let side = if side.is_finite() { side.clamp(least, largest.max(least)) } else { largest.max(least) };
-    libm::exp2(libm::round(libm::log2(side)))
 }
 
 /// `webp:QUALITY`, `jpeg:QUALITY`, or without loss `webp` or `png`.

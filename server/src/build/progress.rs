@@ -8,6 +8,8 @@ use std::time::{Duration, Instant};
 #[derive(Debug)]
 pub(super) struct Progress {
     begun: Instant,
+    /// When the part at work began.
+    part: Instant,
     told: Option<Instant>,
     to_terminal: bool,
     is_quiet: bool,
@@ -16,12 +18,18 @@ pub(super) struct Progress {
 impl Progress {
     /// Begins now. A quiet one says nothing.
     pub(super) fn begin(is_quiet: bool) -> Progress {
-        Progress { begun: clock::now(), told: None, to_terminal: std::io::stderr().is_terminal(), is_quiet }
+        let now = clock::now();
+        Progress { begun: now, part: now, told: None, to_terminal: std::io::stderr().is_terminal(), is_quiet }
     }
 
     /// Seconds since the beginning.
     pub(super) fn seconds(&self) -> f64 {
         clock::now().saturating_duration_since(self.begun).as_secs_f64()
+    }
+
+    /// Another part begins, with a pace of its own.
+    pub(super) fn begin_part(&mut self) {
+        self.part = clock::now();
     }
 
     /// Says a line.
@@ -47,7 +55,8 @@ impl Progress {
         let left = if made_now == 0 {
             String::new()
         } else {
-            let left = passed / made_now as f64 * all.saturating_sub(done) as f64;
+            let in_part = now.saturating_duration_since(self.part).as_secs_f64();
+            let left = in_part / made_now as f64 * all.saturating_sub(done) as f64;
             format!(", {} left", span(left))
         };
         let text = format!("{done} of {all} {what}{more}, {} passed{left}", span(passed));

@@ -1,8 +1,9 @@
-//! What a world is built from: one or more inputs as one source, and what a first pass over them finds.
+//! What a world is built from: one or more inputs as one source, and how large its leaves ought to be.
 
 use super::BuildError;
+use foresight_index::import::tiles3d::ContentError;
 use foresight_index::specification::Progress;
-use foresight_index::surface::{self, SurfaceSource, Surfaces};
+use foresight_index::surface::{self, Piece, SurfaceSource};
 use foresight_index::world::Georeference;
 use foresight_scheduler::lod_tree::Aabb;
 use glam::DVec3;
@@ -54,178 +55,91 @@ impl Sources {
         self.inputs.iter().map(|input| (input.name.as_str(), input.identity))
     }
 
-    /// Away from the ground, unit length.
-    pub(super) fn up(&self) -> DVec3 {
-        self.inputs[0].source.up()
+    fn place(&self, piece: usize) -> (&dyn SurfaceSource, usize) {
+        let input = self.first.partition_point(|&first| first <= piece) - 1;
+        (&*self.inputs[input].source, piece - self.first[input])
     }
 
-    /// How world space lies on the Earth, if it does.
-    pub(super) fn georeference(&self) -> Option<Georeference> {
-        self.inputs[0].source.georeference()
+    /// A power of two in metres, so that a leaf of the world's larger two extents holds about so many triangles on average.
+    /// What lies farther out than all but a fifth of a percent of the triangles does not count.
+    ///
+    /// # Errors
+    /// A piece that cannot be read.
+    pub(super) fn leaf_side(&self, triangles_a_leaf: f64) -> Result<f64, BuildError> {
+        let pieces: Vec<usize> = (0..self.pieces()).collect();
+        let mut sample = Vec::new();
+        for some in pieces.chunks(64) {
+            let read: Vec<_> = some.par_iter().map(|&piece| self.read(piece).map(|read| middles(&read))).collect();
+            for middles in read {
+                sample.extend(middles?);
+            }
+        }
+        let total: f64 = sample.iter().map(|(_, weight)| weight).sum();
+        let mut extents = [0, 1, 2].map(|axis| {
+            let mut values: Vec<(f64, f64)> = sample.iter().map(|(at, weight)| (at[axis], *weight)).collect();
+            values.sort_by(|a, b| a.0.total_cmp(&b.0));
+            let at = |share: f64| {
+                let mut below = 0.0;
+                let found = values.iter().find(|(_, weight)| {
+                    below += weight;
+                    below >= share * total
+                });
+                found.or(values.last()).map_or(0.0, |(value, _)| *value)
+            };
+            at(0.998) - at(0.002)
+        });
+        extents.sort_by(f64::total_cmp);
+        let [_, second, largest] = extents;
+        let least = (largest * 1e-6).max(1e-3);
+        let area = largest * second.max(least);
+        let side = (area * triangles_a_leaf / total.max(1.0)).sqrt();
+        let side = if side.is_finite() { side.clamp(least, largest.max(least)) } else { largest.max(least) };
+        Ok(libm::exp2(libm::round(libm::log2(side))))
     }
+}
 
-    /// Number of pieces.
-    pub(super) fn pieces(&self) -> usize {
+/// Middles of at most 256 of a piece's triangles, evenly spaced, and how many each stands for.
+fn middles(piece: &Piece) -> Vec<(DVec3, f64)> {
+    let step = piece.triangles.len().div_ceil(256).max(1);
+    let some = piece.triangles.iter().step_by(step).map(|t| (t.corners[0] + t.corners[1] + t.corners[2]) / 3.0);
+    let some: Vec<DVec3> = some.filter(|at| at.is_finite()).collect();
+    let weight = piece.triangles.len() as f64 / some.len().max(1) as f64;
+    some.into_iter().map(|at| (at, weight)).collect()
+}
+
+impl SurfaceSource for Sources {
+    fn pieces(&self) -> usize {
         self.first.last().copied().unwrap_or(0)
     }
 
-    fn place(&self, piece: usize) -> (&Input, usize) {
-        let input = self.first.partition_point(|&first| first <= piece) - 1;
-        (&self.inputs[input], piece - self.first[input])
+    fn declared(&self, piece: usize) -> Option<Aabb> {
+        let (source, piece) = self.place(piece);
+        source.declared(piece)
     }
 
-    /// A piece with its textures.
-    ///
-    /// # Errors
-    /// A file that cannot be read.
-    pub(super) fn load(&self, piece: usize) -> Result<Surfaces, BuildError> {
-        let (input, piece) = self.place(piece);
-        Ok(input.source.load(piece)?)
+    fn name(&self, piece: usize) -> &str {
+        let (source, piece) = self.place(piece);
+        source.name(piece)
     }
 
-    /// Looks at every piece once.
-    ///
-    /// # Errors
-    /// A file that cannot be read; nothing to build from.
-    pub(super) fn survey(&self, told: &(dyn Fn(usize) + Sync)) -> Result<Survey, BuildError> {
-        let mut survey = Survey::default();
-        let pieces: Vec<usize> = (0..self.pieces()).collect();
-        for some in pieces.chunks(64) {
-            let looked: Vec<_> = some
-                .par_iter()
-                .map(|&piece| {
-                    let (input, at) = self.place(piece);
-                    input.source.read(at).map(|read| Look::at(&read.triangles, read.left_out))
-                })
-                .collect();
-            for look in looked {
-                survey.add(look?);
-            }
-            told(survey.pieces.len());
-        }
-        if survey.bounds.is_empty() {
-            return Err(BuildError::Nothing);
-        }
-        Ok(survey)
+    fn read(&self, piece: usize) -> Result<Piece, ContentError> {
+        let (source, piece) = self.place(piece);
+        source.read(piece)
     }
-}
 
-/// What a first pass found.
-#[derive(Debug)]
-pub(super) struct Survey {
-    /// Box around each piece's finite corners; empty where there are none.
-    pub(super) pieces: Vec<Aabb>,
-    /// Box around all.
-    pub(super) bounds: Aabb,
-    /// Triangles.
-    pub(super) triangles: u64,
-    /// Triangles with a corner that is not finite, which are left out.
-    pub(super) not_finite: u64,
-    /// Area by orientation, m².
-    pub(super) orientations: Vec<(DVec3, f64)>,
-    /// What was left out, in words.
-    pub(super) left_out: Vec<String>,
-    sums: Vec<[f64; 4]>,
-}
-
-impl Default for Survey {
-    fn default() -> Survey {
-        Survey {
-            pieces: Vec::new(),
-            bounds: Aabb::EMPTY,
-            triangles: 0,
-            not_finite: 0,
-            orientations: Vec::new(),
-            left_out: Vec::new(),
-            sums: vec![[0.0; 4]; BINS],
-        }
+    fn up(&self) -> DVec3 {
+        self.inputs[0].source.up()
     }
-}
 
-/// Most remarks that are kept.
-const REMARKS_MAX: usize = 20;
-
-/// Bins of orientations: the faces of a cube in 8 × 8.
-const BINS: usize = 6 * GRID * GRID;
-const GRID: usize = 8;
-
-#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped to the grid")]
-fn bin(normal: DVec3) -> usize {
-    let axis = if normal.abs().x >= normal.abs().max_element() {
-        0
-    } else if normal.abs().y >= normal.abs().z {
-        1
-    } else {
-        2
-    };
-    let along = normal[axis];
-    let at = |v: f64| ((0.5 + 0.5 * v / along.abs()) * GRID as f64).clamp(0.0, GRID as f64 - 1.0) as usize;
-    let (u, v) = (at(normal[(axis + 1) % 3]), at(normal[(axis + 2) % 3]));
-    ((2 * axis + usize::from(along > 0.0)) * GRID + u) * GRID + v
-}
-
-/// What is found in a piece.
-struct Look {
-    bounds: Aabb,
-    triangles: u64,
-    not_finite: u64,
-    sums: Vec<[f64; 4]>,
-    left_out: Vec<String>,
-}
-
-impl Look {
-    fn at(triangles: &[foresight_index::orthoview::raster::Triangle], left_out: Vec<String>) -> Look {
-        let mut look = Look {
-            bounds: Aabb::EMPTY,
-            triangles: triangles.len() as u64,
-            not_finite: 0,
-            sums: vec![[0.0; 4]; BINS],
-            left_out,
-        };
-        for triangle in triangles {
-            let [a, b, c] = triangle.corners;
-            if !(a.is_finite() && b.is_finite() && c.is_finite()) {
-                look.not_finite += 1;
-                continue;
-            }
-            look.bounds = look.bounds.union(Aabb { min: a.min(b).min(c), max: a.max(b).max(c) });
-            let twice = (b - a).cross(c - a);
-            let area = 0.5 * twice.length();
-            if area > 0.0 && area.is_finite() {
-                let normal = 0.5 * twice / area;
-                // Either side of what is two-sided does.
-                let sides: &[DVec3] = if triangle.two_sided { &[normal, -normal] } else { &[normal] };
-                for &side in sides {
-                    let area = area / sides.len() as f64;
-                    let sum = &mut look.sums[bin(side)];
-                    (0..3).for_each(|axis| sum[axis] += area * side[axis]);
-                    sum[3] += area;
-                }
-            }
-        }
-        look
+    fn georeference(&self) -> Option<Georeference> {
+        self.inputs[0].source.georeference()
     }
-}
 
-impl Survey {
-    fn add(&mut self, look: Look) {
-        self.pieces.push(look.bounds);
-        self.bounds = self.bounds.union(look.bounds);
-        self.triangles += look.triangles;
-        self.not_finite += look.not_finite;
-        for (sum, more) in self.sums.iter_mut().zip(&look.sums) {
-            (0..4).for_each(|i| sum[i] += more[i]);
+    fn identity(&self) -> Result<[u8; 32], ContentError> {
+        let mut hasher = blake3::Hasher::new();
+        for input in &self.inputs {
+            hasher.update(&input.identity);
         }
-        for text in look.left_out {
-            if self.left_out.len() < REMARKS_MAX && !self.left_out.contains(&text) {
-                self.left_out.push(text);
-            }
-        }
-        self.orientations = self
-            .sums
-            .iter()
-            .filter(|sum| sum[3] > 0.0)
-            .map(|sum| (DVec3::new(sum[0], sum[1], sum[2]).normalize_or(DVec3::Z), sum[3]))
-            .collect();
+        Ok(*hasher.finalize().as_bytes())
     }
 }

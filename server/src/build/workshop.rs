@@ -4,123 +4,98 @@ use super::BuildError;
 use super::leaf::measure;
 use super::plan::Plan;
 use super::progress::Progress;
-use super::source::Sources;
 use foresight_index::format::orthoview::{encode, uploaded_bytes};
-use foresight_index::octree::{Cell, Octree};
+use foresight_index::geometry::{GeometryError, GeometryLevel, levels};
+use foresight_index::octree::Cell;
 use foresight_index::orthoview::build::{LeafContent, Workshop};
 use foresight_index::orthoview::connectivity::{Thresholds, links};
-use foresight_index::orthoview::raster::Surface;
 use foresight_index::orthoview::{Direction, Lattice, Orthoview};
-use foresight_index::stored::page::{Child, Kind, Leaf, Node, Stored, Summary, hash};
+use foresight_index::stored::page::{Child, Hash, Kind, Leaf, Node, Stored, Summary, hash};
 use foresight_index::stored::publish::Workplace;
 use foresight_index::stored::{StoredError, address, checkpoint, packing};
 use foresight_index::surface::Surfaces;
+use foresight_index::surface::spool::Spool;
 use foresight_scheduler::benefit::element::ELEMENTS;
-use foresight_scheduler::lod_tree::Aabb;
 use glam::DVec3;
 use rayon::prelude::*;
-use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, TryRecvError, channel};
 
 /// Shares that a leaf's surface has.
 pub(super) const SHARES: u8 = ELEMENTS as u8;
 
-/// Finished cells from this level on are noted: what an interruption costs is at most the leaves beneath one of them.
-const NOTED_FROM: u32 = 2;
+/// Finished cells from this level on are noted: what an interruption costs is at most the leaves of one parent.
+const NOTED_FROM: u32 = 1;
 
-/// Which pieces each leaf may hold something of.
-#[derive(Debug, Default)]
-pub(super) struct Occupied {
-    leaves: BTreeMap<[u64; 3], Vec<usize>>,
-    cells: BTreeSet<Cell>,
-}
+/// What is found out about a leaf beside its images.
+type Content = (Option<Leaf>, Vec<GeometryLevel>);
 
-impl Occupied {
-    /// By the boxes of the pieces.
-    pub(super) fn new(octree: &Octree, pieces: &[Aabb]) -> Occupied {
-        let mut occupied = Occupied::default();
-        for (piece, bounds) in pieces.iter().enumerate().filter(|(_, bounds)| !bounds.is_empty()) {
-            let [x, y, z] = octree.leaves(bounds);
-            let places = (x[0]..=x[1]).flat_map(|x| (y[0]..=y[1]).map(move |y| [x, y]));
-            for place in places.flat_map(|[x, y]| (z[0]..=z[1]).map(move |z| [x, y, z])) {
-                occupied.leaves.entry(place).or_default().push(piece);
-                let mut next = Some(Cell { level: 0, place });
-                while let Some(cell) = next.filter(|cell| occupied.cells.insert(*cell)) {
-                    next = octree.parent(cell);
-                }
-            }
-        }
-        occupied
-    }
-
-    /// Number of leaves.
-    pub(super) fn leaves(&self) -> u64 {
-        self.leaves.len() as u64
-    }
+/// A leaf whose images are there, and whose content is being looked at on other threads.
+struct Waiting {
+    cell: Cell,
+    orthoviews: Vec<Stored>,
+    content: Receiver<Result<Content, GeometryError>>,
 }
 
 /// Takes what is built to its place.
 pub(super) struct Shop<'a> {
-    /// What to build.
-    pub(super) plan: &'a Plan,
-    /// From what.
-    pub(super) sources: &'a Sources,
-    /// Where there is something.
-    pub(super) occupied: &'a Occupied,
-    /// Where to.
-    pub(super) workplace: &'a Workplace,
-    /// Who is told.
-    pub(super) progress: &'a mut Progress,
+    plan: Arc<Plan>,
+    spool: &'a Spool,
+    workplace: &'a Workplace,
+    progress: &'a mut Progress,
     /// Away from the ground.
-    pub(super) up: DVec3,
-    loaded: BTreeMap<usize, Surfaces>,
+    up: DVec3,
+    /// Leaves that there are.
+    leaves: u64,
     /// Finished cells whose parent is not, by level.
     open: Vec<Vec<Child>>,
+    /// At most the leaves of one parent.
+    waiting: Vec<Waiting>,
     /// Of the cell at work.
     representations: Vec<Stored>,
-    leaf: Option<Leaf>,
+    content: Option<Receiver<Result<Content, GeometryError>>>,
     leaves_visited: u64,
+    bytes: u64,
     /// Leaves that an earlier run made.
     pub(super) leaves_restored: u64,
-    bytes: u64,
 }
 
 impl<'a> Shop<'a> {
     /// A new one.
     pub(super) fn new(
-        plan: &'a Plan,
-        sources: &'a Sources,
-        occupied: &'a Occupied,
+        plan: Arc<Plan>,
+        spool: &'a Spool,
         workplace: &'a Workplace,
         progress: &'a mut Progress,
+        up: DVec3,
     ) -> Shop<'a> {
         Shop {
+            open: vec![Vec::new(); plan.octree.root().level as usize + 1],
+            leaves: spool.leaves().count() as u64,
             plan,
-            sources,
-            occupied,
+            spool,
             workplace,
             progress,
-            up: sources.up(),
-            loaded: BTreeMap::new(),
-            open: vec![Vec::new(); plan.octree.root().level as usize + 1],
+            up,
+            waiting: Vec::new(),
             representations: Vec::new(),
-            leaf: None,
+            content: None,
             leaves_visited: 0,
-            leaves_restored: 0,
             bytes: 0,
+            leaves_restored: 0,
         }
     }
 
-    /// Writes the page of the root: its name, and what is in the world. `None` if nothing is.
+    /// Writes the page of the root: its name, its hash, and what is in the world. `None` if nothing is.
     ///
     /// # Errors
     /// A page that cannot be written.
-    pub(super) fn root(&mut self) -> Result<Option<(String, Summary)>, BuildError> {
+    pub(super) fn root(&mut self) -> Result<Option<(String, Hash, Summary)>, BuildError> {
+        self.settle()?;
         let Some(root) = self.open.last_mut().and_then(Vec::pop) else { return Ok(None) };
-        let page = packing::page_of(&root, &self.plan.octree, SHARES, &mut |cell, bytes: &[u8]| {
-            self.workplace.write(&address::page(cell, &hash(bytes)), bytes)
-        })?;
+        let page = packing::page_of(&root, &self.plan.octree, SHARES, &mut page_writer(self.workplace))?;
         Ok(match page {
-            Child::Page(cell, page) => Some((address::page(cell, &page.hash), page.summary)),
+            Child::Page(cell, page) => Some((address::page(cell, &page.hash), page.hash, page.summary)),
             Child::Node(_) => None,
         })
     }
@@ -130,7 +105,7 @@ impl<'a> Shop<'a> {
         format!("cells/{}_{x}_{y}_{z}.cell", cell.level)
     }
 
-    fn store(&mut self, cell: Cell, kind: Kind, bytes: &[u8], decoded: u64, error: f64) -> Result<(), BuildError> {
+    fn store(&mut self, cell: Cell, kind: Kind, bytes: &[u8], decoded: u64, error: f64) -> Result<Stored, BuildError> {
         let content = hash(bytes);
         let (folder, name) = address::representation(cell, kind, &content);
         let too_large = || BuildError::TooLarge { file: folder.clone() + &name };
@@ -144,38 +119,78 @@ impl<'a> Shop<'a> {
         };
         self.workplace.write(&(folder + &name), bytes)?;
         self.bytes += bytes.len() as u64;
-        self.representations.push(stored);
+        Ok(stored)
+    }
+
+    /// Waits for what is being found out about leaves, and makes their nodes, in order.
+    fn settle(&mut self) -> Result<(), BuildError> {
+        for Waiting { cell, mut orthoviews, content } in std::mem::take(&mut self.waiting) {
+            let (leaf, levels) = loop {
+                match content.try_recv() {
+                    Ok(content) => break content?,
+                    // A task that is gone without an answer has panicked, and rayon has ended the process.
+                    Err(TryRecvError::Disconnected) => break (None, Vec::new()),
+                    // This thread is one of those that do the work.
+                    Err(TryRecvError::Empty) => match rayon::yield_now() {
+                        Some(rayon::Yield::Executed) => {}
+                        _ => std::thread::yield_now(),
+                    },
+                }
+            };
+            for (at, level) in (0u8..).zip(levels) {
+                let error = f64::from(level.error);
+                orthoviews.push(self.store(cell, Kind::Geometry(at), &level.glb, level.decoded_bytes, error)?);
+            }
+            // What no direction sees and has no geometry is not there.
+            if let Some(leaf) = leaf.filter(|_| !orthoviews.is_empty()) {
+                let node = Node { cell, representations: orthoviews, leaf: Some(leaf), children: Vec::new() };
+                self.open[0].push(Child::Node(node));
+            }
+        }
         Ok(())
     }
 
     fn tell(&mut self) {
         let more = format!(", {:.1} MB", self.bytes as f64 / 1e6);
         let made_now = self.leaves_visited - self.leaves_restored;
-        self.progress.at("leaves", self.leaves_visited, self.occupied.leaves(), made_now, &more);
+        self.progress.at("leaves", self.leaves_visited, self.leaves, made_now, &more);
     }
+}
+
+/// Writes pages into their places.
+fn page_writer(workplace: &Workplace) -> impl FnMut(Cell, &[u8]) -> Result<(), StoredError> {
+    |cell, bytes| workplace.write(&address::page(cell, &hash(bytes)), bytes)
+}
+
+/// Bounds, ground, surface and geometry of a leaf.
+fn content(plan: &Plan, cell: Cell, surfaces: &Surfaces, up: DVec3) -> Result<Content, GeometryError> {
+    let leaf = measure(surfaces.triangles.iter(), &plan.octree.holds(cell, 0.0), up);
+    let levels = match (&leaf, &plan.geometry) {
+        (Some(_), Some(settings)) => {
+            levels(&[(&surfaces.triangles, &surfaces.materials)], &plan.octree, cell, settings)?
+        }
+        _ => Vec::new(),
+    };
+    Ok((leaf, levels))
 }
 
 impl Workshop for Shop<'_> {
     type Error = BuildError;
 
     fn is_occupied(&self, cell: Cell) -> bool {
-        self.occupied.cells.contains(&cell)
+        self.spool.is_occupied(cell)
     }
 
     fn with_content(&mut self, cell: Cell, draw: &mut dyn FnMut(&LeafContent<'_>)) -> Result<(), BuildError> {
-        let none = Vec::new();
-        let pieces = self.occupied.leaves.get(&cell.place).unwrap_or(&none);
-        self.loaded.retain(|piece, _| pieces.contains(piece));
-        let missing: Vec<usize> = pieces.iter().copied().filter(|piece| !self.loaded.contains_key(piece)).collect();
-        let sources = self.sources;
-        let loaded: Vec<_> =
-            missing.par_iter().map(|&piece| Ok((piece, sources.load(piece)?))).collect::<Result<_, BuildError>>()?;
-        self.loaded.extend(loaded);
-        let surfaces: Vec<&Surfaces> = pieces.iter().filter_map(|piece| self.loaded.get(piece)).collect();
-        let holds = self.plan.octree.holds(cell, 0.0);
-        self.leaf = measure(surfaces.iter().flat_map(|s| &s.triangles), &holds, self.up);
-        let meshes = surfaces.iter().map(|s| (&s.triangles[..], &s.materials as &(dyn Surface + Sync))).collect();
-        draw(&LeafContent { meshes });
+        let surfaces = Arc::new(self.spool.leaf(cell.place)?);
+        let (sender, receiver) = channel();
+        let (plan, same, up) = (self.plan.clone(), surfaces.clone(), self.up);
+        rayon::spawn(move || {
+            // Nobody listens once the build has failed.
+            let _ = sender.send(content(&plan, cell, &same, up));
+        });
+        self.content = Some(receiver);
+        draw(&LeafContent { meshes: vec![(&surfaces.triangles, &surfaces.materials)] });
         Ok(())
     }
 
@@ -192,7 +207,8 @@ impl Workshop for Shop<'_> {
             .collect::<Result<_, BuildError>>()?;
         let error = pitch * (1u64 << cell.level) as f64;
         for (direction, file) in files.into_iter().flatten() {
-            self.store(cell, Kind::Orthoview(direction), &file, uploaded_bytes(&file), error)?;
+            let stored = self.store(cell, Kind::Orthoview(direction), &file, uploaded_bytes(&file), error)?;
+            self.representations.push(stored);
         }
         Ok(())
     }
@@ -219,40 +235,32 @@ impl Workshop for Shop<'_> {
     }
 
     fn finished(&mut self, cell: Cell, images: &[Option<Orthoview>]) -> Result<(), BuildError> {
-        let level = cell.level as usize;
         let mut representations = std::mem::take(&mut self.representations);
         representations.sort_by_key(|rep| rep.kind);
-        let (leaf, children) = match level.checked_sub(1) {
-            Some(beneath) => (None, std::mem::take(&mut self.open[beneath])),
-            None => (self.leaf.take().filter(|_| !representations.is_empty()), Vec::new()),
+        let Some(beneath) = cell.level.checked_sub(1) else {
+            if let Some(content) = self.content.take() {
+                self.waiting.push(Waiting { cell, orthoviews: representations, content });
+            }
+            self.leaves_visited += 1;
+            self.tell();
+            return Ok(());
         };
-        let is_there = leaf.is_some() || !children.is_empty();
-        let mut node = is_there.then_some(Node { cell, representations, leaf, children });
+        self.settle()?;
+        let children = std::mem::take(&mut self.open[beneath as usize]);
+        let mut node = (!children.is_empty()).then_some(Node { cell, representations, leaf: None, children });
         let octree = &self.plan.octree;
         if let Some(node) = &mut node {
-            packing::pack(node, octree, SHARES, &mut |cell, bytes: &[u8]| {
-                self.workplace.write(&address::page(cell, &hash(bytes)), bytes)
-            })?;
+            packing::pack(node, octree, SHARES, &mut page_writer(self.workplace))?;
         }
         if cell.level >= NOTED_FROM {
             let bytes = checkpoint::encode(node.as_ref(), images, octree, SHARES);
             self.workplace.note(&Shop::noted(cell), &bytes)?;
             for child in octree.children(cell).filter(|child| child.level >= NOTED_FROM) {
-                let file = self.workplace.noted(&Shop::noted(child));
-                match std::fs::remove_file(&file) {
-                    Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                        return Err(StoredError::Io { file, source: error }.into());
-                    }
-                    _ => {}
-                }
+                self.workplace.strike(&Shop::noted(child))?;
             }
         }
         if let Some(node) = node {
-            self.open[level].push(Child::Node(node));
-        }
-        if level == 0 {
-            self.leaves_visited += 1;
-            self.tell();
+            self.open[cell.level as usize].push(Child::Node(node));
         }
         Ok(())
     }

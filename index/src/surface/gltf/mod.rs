@@ -7,6 +7,9 @@ mod file;
 mod material;
 mod primitive;
 
+#[cfg(test)]
+mod tests;
+
 pub use file::GltfFile;
 
 use glam::{DMat4, DQuat, DVec3};

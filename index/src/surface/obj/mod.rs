@@ -5,6 +5,9 @@
 
 mod mtl;
 
+#[cfg(test)]
+mod tests;
+
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -23,7 +26,7 @@ use crate::world::Georeference;
 use mtl::Look;
 
 /// Most corners of a face.
-const MAX_CORNERS: usize = 1 << 16;
+const MAX_CORNERS: usize = 1 << 14;
 /// Most things said about one file.
 const MAX_SAID: usize = 64;
 
