@@ -9,6 +9,8 @@ use foresight_index::generate::document;
 use foresight_index::generate::terrain::TerrainParams;
 use foresight_index::import::{cityjson, elevation, tiles3d};
 use foresight_index::manifest;
+use foresight_index::octree::Octree;
+use foresight_index::stored::{document as document_of_a_world, page};
 use foresight_index::surface::{GltfFile, ObjFile, PlyFile, SurfaceError, SurfaceSource, Up};
 use foresight_server::http::{self, entity_tag::Comparison};
 use foresight_traces::path::parse::{Format, Options};
@@ -44,6 +46,7 @@ pub const TARGETS: &[(&str, Parser)] = &[
     ("manifest", |bytes| outcome(manifest::parse(bytes))),
     ("npz", |bytes| outcome(elevation::parse_npz(bytes))),
     ("obj", |bytes| surfaces(bytes, |file| Ok(Box::new(ObjFile::open(file, Up::Z)?)))),
+    ("page", page),
     ("path", |bytes| outcome(path::parse::from_bytes("path", bytes, &path::parse::Options::default()))),
     ("ply", |bytes| surfaces(bytes, |file| Ok(Box::new(PlyFile::open(file, Up::Y)?)))),
     ("recording", recording),
@@ -53,6 +56,7 @@ pub const TARGETS: &[(&str, Parser)] = &[
     ("subtree", subtree),
     ("terrain", |bytes| outcome(document::parse::<TerrainParams>(bytes))),
     ("tileset", |bytes| outcome(tiles3d::parse_tileset(bytes))),
+    ("world-toml", |bytes| outcome(document_of_a_world::parse(bytes))),
 ];
 
 /// Gives the bytes to the parser of that name.
@@ -65,6 +69,12 @@ pub const TARGETS: &[(&str, Parser)] = &[
 pub fn entry(target: &str, bytes: &[u8]) -> Result<(), String> {
     let (_, parser) = TARGETS.iter().find(|(name, _)| *name == target).expect("a name of TARGETS");
     parser(bytes)
+}
+
+/// A page of an octree of 32 × 32 × 4 leaves of 64 m.
+fn page(bytes: &[u8]) -> Result<(), String> {
+    let octree = Octree::of(glam::DVec3::ZERO, 64.0, [5, 5, 2]).expect("parts of an octree");
+    outcome(page::parse(bytes, &octree))
 }
 
 /// A subtree of two levels of a quadtree, buffers in other files absent; of three levels of an octree for its own sake.

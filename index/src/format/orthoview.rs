@@ -297,6 +297,15 @@ fn png(data: &[u8], size: (u32, u32), kind: ExtendedColorType, plane: &'static s
     )
 }
 
+/// Bytes of a file's pixels once a client has uploaded them: colour (4), depth and links (2), and normal (2) where there is
+/// one. 0 for what is no such file.
+pub fn uploaded_bytes(file: &[u8]) -> u64 {
+    let Some(header) = file.first_chunk::<HEADER>().filter(|header| header.starts_with(b"FSOV")) else { return 0 };
+    let four = |at: usize| u64::from(u32::from_le_bytes(<[u8; 4]>::try_from(&header[at..at + 4]).unwrap_or_default()));
+    let pixel = if header[6] == 0 { 6 } else { 8 };
+    four(28).saturating_mul(four(32)).saturating_mul(pixel)
+}
+
 /// Reads a file. Pixels outside of what was occupied are not there: the image's `rect` is the smaller one.
 ///
 /// # Errors

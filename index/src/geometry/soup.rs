@@ -103,7 +103,7 @@ fn group<'a>(
     if !(material.cutoff.is_finite() && material.cutoff >= 0.0) {
         material.cutoff = 0.0;
     }
-    let texture = material.texture.and_then(|t| Some((t, materials.textures.get(t)?.as_ref()?)));
+    let texture = material.texture.and_then(|t| Some((t, materials.textures.get(t)?.as_deref()?)));
     let key = (texture.map(|(t, _)| (mesh, t)), material.base.map(f32::to_bits), material.cutoff.to_bits(), two_sided);
     *known.entry(key).or_insert_with(|| {
         let texture = texture.map(|(_, texture)| (texture, Frame::default()));
