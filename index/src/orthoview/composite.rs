@@ -63,9 +63,14 @@ pub fn doubled(parent: &Orthoview) -> Orthoview {
 }
 
 /// Half the resolution: fills `parent`, whose pixels are `side` metres wide, from an image of twice its resolution.
-#[expect(clippy::cast_possible_truncation, reason = "a length in metres, and only a threshold")]
 pub fn halved(double: &Orthoview, parent: &mut Orthoview, side: f64) {
-    let delta_z = (DELTA_Z * side) as f32;
+    halved_within(double, parent, DELTA_Z * side);
+}
+
+/// As [`halved`], averaging over what is within `delta_z` metres of the nearest.
+#[expect(clippy::cast_possible_truncation, reason = "a length in metres, and only a threshold")]
+pub fn halved_within(double: &Orthoview, parent: &mut Orthoview, delta_z: f64) {
+    let delta_z = delta_z as f32;
     let width = parent.rect.width();
     if double.rect == parent.rect.beneath() {
         for (y, row) in parent.pixels.chunks_exact_mut(width).enumerate() {
