@@ -4,9 +4,10 @@
 use super::image::{Orthoview, Pixel};
 use glam::I64Vec2;
 
-/// Δz in sides of the pixel that is made. A surface seen at 60° from its normal falls by √3 sides over one pixel, so its
-/// four quarters still count as one surface.
-pub const DELTA_Z: f64 = 2.0;
+/// Δz in sides of the pixel that is made: τ₁ of the connectivity, so that what counts as one surface there is averaged as
+/// one here, up to 76° from its normal. Against supersampling two sides cost 0.5 to 2 dB more; without a limit it would be 6
+/// to 8 dB less, but edges would take the colours of what lies far behind them.
+pub const DELTA_Z: f64 = 4.0;
 
 /// One pixel from up to four. `delta_z` in metres.
 pub fn merge(candidates: [Pixel; 4], delta_z: f32) -> Pixel {

@@ -251,9 +251,10 @@ pub fn findings(scene: &Scene, plan: &Plan) -> Result<Findings, Fault> {
     Ok(findings)
 }
 
-/// Parents by level: composited against drawn directly with 2× antialiasing, and both against supersampling.
+/// Images by file name, PNG.
 type Pictures = Vec<(String, Vec<u8>)>;
 
+/// Parents by level: composited against drawn directly with 2× antialiasing, and both against supersampling.
 fn parents(scene: &Scene, plan: &Plan) -> Result<(Table, Pictures), Fault> {
     let title =
         format!("{}: parents composited up the tree, drawn directly (2 × 2 samples), and supersampled", scene.name);
@@ -264,7 +265,7 @@ fn parents(scene: &Scene, plan: &Plan) -> Result<(Table, Pictures), Fault> {
             "cells",
             "composited : direct, dB",
             "composited : supersampled, dB",
-            "the same with Δz = 4",
+            "the same with Δz = 2",
             "with Δz = ∞",
             "direct : supersampled, dB",
             "shown by both, %",
@@ -293,7 +294,7 @@ fn parents(scene: &Scene, plan: &Plan) -> Result<(Table, Pictures), Fault> {
                     let figures = [
                         like(&composited, &direct),
                         like(&composited, &many),
-                        like(&within(4.0), &many),
+                        like(&within(2.0), &many),
                         like(&within(f64::INFINITY), &many),
                         like(&direct, &many),
                     ];
