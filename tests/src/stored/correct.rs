@@ -251,9 +251,10 @@ pub fn findings(scene: &Scene, plan: &Plan) -> Result<Findings, Fault> {
     Ok(findings)
 }
 
-/// Parents by level: composited against drawn directly with 2× antialiasing, and both against supersampling.
+/// Images by file name, PNG.
 type Pictures = Vec<(String, Vec<u8>)>;
 
+/// Parents by level: composited against drawn directly with 2× antialiasing, and both against supersampling.
 fn parents(scene: &Scene, plan: &Plan) -> Result<(Table, Pictures), Fault> {
     let title =
         format!("{}: parents composited up the tree, drawn directly (2 × 2 samples), and supersampled", scene.name);
@@ -264,6 +265,8 @@ fn parents(scene: &Scene, plan: &Plan) -> Result<(Table, Pictures), Fault> {
             "cells",
             "composited : direct, dB",
             "composited : supersampled, dB",
+            "the same with Δz = 2",
+            "with Δz = ∞",
             "direct : supersampled, dB",
             "shown by both, %",
             "depth apart, pixels",
@@ -272,7 +275,7 @@ fn parents(scene: &Scene, plan: &Plan) -> Result<(Table, Pictures), Fault> {
     let mut pictures = Vec::new();
     for level in 1..=scene.octree.root().level.min(plan.level_max) {
         let cells = some(scene.cells(level), plan.parents, plan.seed ^ u64::from(level));
-        let mut sums = [Likeness::default(); 3];
+        let mut sums = [Likeness::default(); 5];
         for (number, &cell) in cells.iter().enumerate() {
             let holding = scene.holding(cell)?;
             let of: Vec<_> = plan
@@ -283,11 +286,18 @@ fn parents(scene: &Scene, plan: &Plan) -> Result<(Table, Pictures), Fault> {
                     let direct = raster::leaf(&scene.octree, cell, &lattice, holding.meshes(), &mut Drawn::default());
                     let direct =
                         direct.unwrap_or_else(|| Orthoview::empty(&lattice, &scene.octree.bounds(cell), level));
-                    let composited = composited(scene, cell, &lattice, &holding);
+                    let within = |delta_z| composited(scene, cell, &lattice, &holding, delta_z);
+                    let composited = within(composite::DELTA_Z);
                     let many = supersampled(scene, cell, &lattice, &holding);
                     let side = lattice.pitch * f64::from(1u32 << level);
                     let like = |a: &Orthoview, b: &Orthoview| Likeness::of(&a.pixels, &b.pixels, side);
-                    let figures = [like(&composited, &direct), like(&composited, &many), like(&direct, &many)];
+                    let figures = [
+                        like(&composited, &direct),
+                        like(&composited, &many),
+                        like(&within(2.0), &many),
+                        like(&within(f64::INFINITY), &many),
+                        like(&direct, &many),
+                    ];
                     (figures, [composited, direct, many])
                 })
                 .collect();
@@ -306,6 +316,8 @@ fn parents(scene: &Scene, plan: &Plan) -> Result<(Table, Pictures), Fault> {
             json!(sums[0].psnr()),
             json!(sums[1].psnr()),
             json!(sums[2].psnr()),
+            json!(sums[3].psnr()),
+            json!(sums[4].psnr()),
             json!(100.0 * sums[0].shared()),
             json!(sums[0].depth_sides()),
         ]);
@@ -313,8 +325,14 @@ fn parents(scene: &Scene, plan: &Plan) -> Result<(Table, Pictures), Fault> {
     Ok((table, pictures))
 }
 
-/// A cell's image, composited from its leaves. Recursion goes down the tree.
-fn composited(scene: &Scene, cell: Cell, lattice: &Lattice, holding: &super::scene::Holding) -> Orthoview {
+/// A cell's image, composited from its leaves, averaging within so many sides of a pixel. Recursion goes down the tree.
+fn composited(
+    scene: &Scene,
+    cell: Cell,
+    lattice: &Lattice,
+    holding: &super::scene::Holding,
+    delta_z: f64,
+) -> Orthoview {
     let bounds = scene.octree.bounds(cell);
     let mut view = Orthoview::empty(lattice, &bounds, cell.level);
     if cell.level == 0 {
@@ -322,8 +340,8 @@ fn composited(scene: &Scene, cell: Cell, lattice: &Lattice, holding: &super::sce
     }
     let mut double = composite::doubled(&view);
     for child in scene.octree.children(cell) {
-        composite::overlay(&mut double, &composited(scene, child, lattice, holding));
+        composite::overlay(&mut double, &composited(scene, child, lattice, holding, delta_z));
     }
-    composite::halved(&double, &mut view, lattice.pitch * (1u64 << cell.level) as f64);
+    composite::halved_within(&double, &mut view, delta_z * lattice.pitch * (1u64 << cell.level) as f64);
     view
 }

@@ -104,7 +104,7 @@ fn draw(
         .build_cartesian_2d(xs.clone(), ys.clone())?;
     let label = |scale: Scale| {
         move |value: &f64| match scale {
-            Scale::Linear => super::plot::number(*value),
+            Scale::Linear => number(*value),
             Scale::Logarithmic => number(libm::pow(10.0, *value)),
         }
     };

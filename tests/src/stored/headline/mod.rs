@@ -439,10 +439,10 @@ fn bursts(tree: &LodTree, plan: &Plan) -> Result<Findings, Fault> {
 /// \[NVE\] §4.8.3: time until everything in view has something, and until it has what it requires.
 fn first_view(sizes: &Sizes, plan: &Plan) -> Result<Findings, Fault> {
     let mut table = Table::new(
-        "A complete first view, from nothing (medians)",
+        "A complete first view, from nothing (medians of three places; – where it took longer than 300 s, 120 s at 5 Mbit/s)",
         &["world", "link, Mbit/s", "something everywhere, s", "as required, s", "runs that got there"],
     );
-    for (area, mbit, seconds) in [(1.0, 0.2, 900.0), (1.0, 5.0, 300.0), (1000.0, 0.2, 900.0), (1000.0, 5.0, 300.0)] {
+    for (area, mbit, seconds) in [(1.0, 0.2, 300.0), (1.0, 5.0, 120.0), (1000.0, 0.2, 300.0), (1000.0, 5.0, 120.0)] {
         let side = 1e3 * libm::sqrt(area);
         let link = link(mbit, 40.0)?;
         for (title, with) in [("orthoviews", With::Orthoviews), ("geometry only", With::GeometryOnly)] {
@@ -450,7 +450,7 @@ fn first_view(sizes: &Sizes, plan: &Plan) -> Result<Findings, Fault> {
                 continue;
             }
             let tree = sizes.catalogue(side, plan.seed, with).map_err(|e| Fault::new("a catalogue", e))?;
-            let each: Vec<[Option<f64>; 2]> = trips(side, 0.0, seconds, 5, plan.seed)
+            let each: Vec<[Option<f64>; 2]> = trips(side, 0.0, seconds, 3, plan.seed)
                 .par_iter()
                 .map(|trip| started(&tree, trip, &link))
                 .collect::<Result<_, Fault>>()?;
