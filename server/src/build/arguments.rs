@@ -53,8 +53,8 @@ pub struct BuildArgs {
     /// oop,pop,nnp: n, o and p stand for −1, 0 and 1 along x, y and z, from the world to the eye
     #[arg(long, default_value = "auto", value_name = "WHICH")]
     directions: DirectionsWanted,
-    /// Codec of the colours: jpeg:QUALITY, or without loss webp or png
-    #[arg(long, default_value = "jpeg:90", value_name = "CODEC", value_parser = colour_codec)]
+    /// Codec of the colours: webp:QUALITY, jpeg:QUALITY, or without loss webp or png
+    #[arg(long, default_value = "webp:85", value_name = "CODEC", value_parser = colour_codec)]
     colour: ColourCodec,
     /// Light and shadow are in the colours: leave out the normals
     #[arg(long)]

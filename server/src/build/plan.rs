@@ -209,16 +209,20 @@ pub(super) fn round(value: f64) -> f64 {
     (value * 1e6).round() / 1e6
 }
 
-/// `webp`, `png`, or `jpeg:QUALITY`.
+/// `webp:QUALITY`, `jpeg:QUALITY`, or without loss `webp` or `png`.
 ///
 /// # Errors
 /// Anything else.
 pub(super) fn colour_codec(text: &str) -> Result<ColourCodec, String> {
-    let expected = "expected webp (lossless), png, or jpeg:QUALITY with a quality from 1 to 100";
+    let expected = "expected webp (lossless), png, or webp:QUALITY or jpeg:QUALITY with a quality from 1 to 100";
     match text.split_once(':') {
         None if text == "webp" => Ok(ColourCodec::WebpLossless),
         None if text == "png" => Ok(ColourCodec::Png),
         None if text == "jpeg" => Ok(ColourCodec::Jpeg(85)),
+        Some(("webp", quality)) => match quality.parse() {
+            Ok(quality @ 1..=100) => Ok(ColourCodec::Webp(quality)),
+            _ => Err(expected.to_owned()),
+        },
         Some(("jpeg", quality)) => match quality.parse() {
             Ok(quality @ 1..=100) => Ok(ColourCodec::Jpeg(quality)),
             _ => Err(expected.to_owned()),
@@ -233,6 +237,7 @@ pub(super) fn codec_name(codec: ColourCodec) -> String {
         ColourCodec::Png => "png".to_owned(),
         ColourCodec::WebpLossless => "webp".to_owned(),
         ColourCodec::Jpeg(quality) => format!("jpeg:{quality}"),
+        ColourCodec::Webp(quality) => format!("webp:{quality}"),
     }
 }
 

@@ -237,6 +237,28 @@ fn texture_coordinates_are_transformed() {
 }
 
 #[test]
+fn glossy_materials_and_a_centre() {
+    let mut asset = Builder::default();
+    let positions = asset.floats(&SQUARE[..9], "VEC3", 3);
+    let glossy = json!({ "diffuseFactor": [0.25, 0.5, 0.75, 1], "diffuseTexture": { "index": 0 } });
+    let json = asset.json(
+        json!([{ "attributes": { "POSITION": positions }, "material": 0 }]),
+        json!({
+            "materials": [{ "extensions": { "KHR_materials_pbrSpecularGlossiness": glossy } }],
+            "textures": [{ "source": 0 }],
+            "images": [{ "uri": "absent.png" }],
+            "extensionsRequired": ["CESIUM_RTC", "KHR_materials_pbrSpecularGlossiness"],
+            "extensions": { "CESIUM_RTC": { "center": [6e6, 1000.25, -3.0] } },
+        }),
+    );
+    let (pieces, left_out) = in_folder(&[("a.glb", &asset.glb(&json))], "a.glb").expect("an asset");
+    assert_eq!(pieces[0].materials.materials[0].base, [0.25, 0.5, 0.75]);
+    assert_eq!(left_out.len(), 1);
+    // (2, 0, 0) of the file.
+    assert_eq!(pieces[0].triangles[0].corners[1], DVec3::new(6e6 + 2.0, 1000.25, -3.0));
+}
+
+#[test]
 fn instances_sparse_elements_and_mirrors() {
     let mut asset = Builder::default();
     let positions = asset.floats(&SQUARE[..9], "VEC3", 3);
@@ -352,6 +374,6 @@ fn a_large_mesh_is_cut_into_pieces_that_add_up() {
     assert_eq!(source.pieces(), 3);
     let read = |piece: usize| -> Piece { source.read(piece).expect("readable") };
     assert_eq!((0..3).map(|piece| read(piece).triangles.len()).sum::<usize>(), count);
-    assert_eq!(source.name(2), "$.meshes[0].primitives[0]");
+    assert_eq!(source.name(2), "a.glb: $.meshes[0].primitives[0]");
     assert_ne!(super::GltfFile::open(Path::new(&file)).expect("an asset").identity().expect("readable"), [0; 32]);
 }

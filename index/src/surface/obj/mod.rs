@@ -71,7 +71,7 @@ fn number(text: &str, so_far: usize) -> Result<Option<usize>, ()> {
     Ok(match given {
         1.. => usize::try_from(given - 1).ok(),
         0 => None,
-        _ => usize::try_from(-given).ok().and_then(|back| so_far.checked_sub(back)),
+        _ => usize::try_from(given.unsigned_abs()).ok().and_then(|back| so_far.checked_sub(back)),
     })
 }
 

@@ -57,8 +57,13 @@ fn faults_name_the_line() {
 
 #[test]
 fn corners_that_name_no_vertex_are_no_numbers() {
-    let (_folder, source) =
-        opened(&[("a.obj", "v 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\nf 1 2 9\nf 0 1 2\nf -9 1 2\nf 1/9 2/0 1\n")], Up::Z);
+    let (_folder, source) = opened(
+        &[(
+            "a.obj",
+            "v 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\nf 1 2 9\nf 0 1 2\nf -9223372036854775808 1 2\nf 1/9 2/0 1\n",
+        )],
+        Up::Z,
+    );
     let triangles = source.expect("an OBJ").triangles(0).expect("readable");
     assert_eq!(triangles.iter().filter(|t| t.corners.iter().any(|c| c.is_nan())).count(), 4);
     assert_eq!(triangles[4].uv, [DVec2::ZERO; 3]);

@@ -117,7 +117,8 @@ fn faults_are_named_with_their_place() {
         (header(&format!("{vertex}{face}")) + body + "3 0 1\n", "line 13: the end of the line; expected vertex_index"),
         (header(&format!("{vertex}{face}")) + body + "-3 0 1 2\n", "-3 items of vertex_index"),
         (header(&format!("{vertex}{face}")) + body + "3 0 one 2\n", "\"one\"; expected a number"),
-        (header(&format!("{vertex}{face}")) + body, "the end; expected another face"),
+        (header(&format!("{vertex}{face}")) + body, "1 of face in 18 bytes"),
+        (header(&format!("{vertex}{face}")) + body + "\n\n\n", "the end; expected another face"),
     ] {
         let message = opened(text.as_bytes()).err().unwrap_or_default();
         assert!(message.contains(part) && message.contains("a.ply"), "{text:?}: {message:?}");

@@ -229,6 +229,7 @@ fn sort(source: &dyn SurfaceSource, piece: usize, octree: &Octree, strays: Optio
     });
     let mut places = Vec::with_capacity(read.triangles.len());
     let mut found = Vec::new();
+    let mut last = ([0; 3], 0);
     for (at, triangle) in read.triangles.iter().enumerate() {
         found.clear();
         let slack = SLACK * octree.leaf_side();
@@ -237,7 +238,13 @@ fn sort(source: &dyn SurfaceSource, piece: usize, octree: &Octree, strays: Optio
             let bounds = Aabb { min: a.min(b).min(c), max: a.max(b).max(c) };
             SpoolError::SmallLeaves { name: source.name(piece).to_owned(), side: octree.leaf_side(), bounds }
         })?;
-        places.extend(found.iter().map(|&place| (order::key(octree, place), at as u32)));
+        for &place in &found {
+            // Triangles that follow each other are mostly in one leaf.
+            if last.0 != place {
+                last = (place, order::key(octree, place));
+            }
+            places.push((last.1, at as u32));
+        }
     }
     places.sort_unstable();
     Ok(Sorted { piece: read, places })

@@ -55,3 +55,40 @@ pub(super) fn describe(out: &mut impl Write, file: &str, source: &dyn SurfaceSou
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use foresight_index::surface::open;
+
+    #[test]
+    fn a_mesh_with_its_traps() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("a.obj");
+        // A wall that stands on z: a floor in a file whose y points up.
+        let floor =
+            "v 0 0 0\nv 8 0 0\nv 0 0 8\nv 8 0 8\nv nan 0 0\nf 1 3 2\nf 2 3 4\nf 1 2 5\nf 1 1 2\nusemtl absent\n";
+        std::fs::write(&file, floor).expect("written");
+        let described = |input: &str| {
+            let progress: foresight_index::specification::Progress = std::sync::Arc::new(|_, _| {});
+            let mut out = Vec::new();
+            describe(&mut out, input, &*open(input, &progress).expect("a mesh")).expect("described");
+            String::from_utf8(out).expect("UTF-8")
+        };
+        let plain = file.to_str().expect("UTF-8");
+        let text = described(plain);
+        for part in [
+            "2 triangles in 1 pieces, 64.00 m²",
+            "extent 8.00 × 0.00 × 8.00 m",
+            "perhaps y points up; then add ,up=y",
+            "repaired: 1 triangles with a corner that is no number",
+            "repaired: 1 triangles without area",
+            "missing: the material \"absent\", which no library has",
+        ] {
+            assert!(text.contains(part), "{part}: {text}");
+        }
+        let turned = described(&format!("{plain},up=y"));
+        // Seen from both sides, half of it looks each way.
+        assert!(turned.contains("50 % look up, 50 % down") && !turned.contains("mind"), "{turned}");
+    }
+}
