@@ -4,6 +4,8 @@
 //! The interface is synchronous; the asynchronous runtime that the database library wants lives inside [`Catalogue`].
 
 mod store;
+#[cfg(test)]
+mod tests;
 mod write;
 
 pub use crate::database::Location;

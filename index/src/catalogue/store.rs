@@ -2,6 +2,7 @@
 
 use super::{CatalogueError, SCHEMA_VERSION};
 use crate::database::{Connection, Failure, Kind, Location, Migrations, Value};
+use crate::octree::Octree;
 use foresight_scheduler::lod_tree::Aabb;
 use glam::DVec3;
 use sqlx::ConnectOptions as _;
@@ -130,7 +131,7 @@ impl Catalogue {
     }
 
     /// The cells of a world of this identity whose content meets a box, of the levels given, the largest first; at most
-    /// 100,000.
+    /// 100,000. Only cells near the box are looked at.
     ///
     /// # Errors
     /// An identity that is not there; what the database refuses.
@@ -140,17 +141,38 @@ impl Catalogue {
         bounds: &Aabb,
         levels: std::ops::RangeInclusive<u32>,
     ) -> Result<Vec<CellRow>, CatalogueError> {
-        let mut values = vec![Value::Integer(Some(self.version(identity)?))];
-        values.extend([levels.start(), levels.end()].map(|&level| Value::Integer(Some(i64::from(level)))));
-        values.extend(bounds.max.to_array().into_iter().chain(bounds.min.to_array()).map(|v| Value::Real(Some(v))));
-        let sql = format!(
-            "SELECT id, parent, level, x, y, z, min_x, min_y, min_z, max_x, max_y, max_z, page FROM catalogue_cells \
-             WHERE version = $1 AND level BETWEEN $2 AND $3 AND min_x <= $4 AND min_y <= $5 AND min_z <= $6 \
-             AND max_x >= $7 AND max_y >= $8 AND max_z >= $9 ORDER BY level DESC, id LIMIT {ROWS_MAX}"
-        );
-        let kinds = [[Kind::Integer; 6], [Kind::Real; 6]].concat();
-        let rows = self.rows(&sql, &values, &[&kinds[..], &[Kind::Text]].concat())?;
-        Ok(rows.iter().map(|row| cell(row)).collect())
+        let version = self.version(identity)?;
+        let octree = self.octree(version)?;
+        let leaves = octree.leaves(bounds);
+        let kinds = [&[Kind::Integer; 6][..], &[Kind::Real; 6], &[Kind::Text]].concat();
+        let sql = "SELECT id, parent, level, x, y, z, min_x, min_y, min_z, max_x, max_y, max_z, page FROM catalogue_cells \
+                   WHERE version = $1 AND level = $2 AND x BETWEEN $3 AND $4 AND y BETWEEN $5 AND $6 AND z BETWEEN $7 AND $8 \
+                   AND min_x <= $9 AND min_y <= $10 AND min_z <= $11 AND max_x >= $12 AND max_y >= $13 AND max_z >= $14 \
+                   ORDER BY id LIMIT $15";
+        let mut found = Vec::new();
+        let most = octree.root().level.min(*levels.end());
+        for level in (*levels.start()..=most).rev() {
+            let ranges = (0..3).flat_map(|axis| leaves[axis].map(|leaf| leaf >> level.min(octree.splits()[axis])));
+            let mut values: Vec<Value> = [version, i64::from(level)].map(|v| Value::Integer(Some(v))).to_vec();
+            values.extend(ranges.map(|place| Value::Integer(i64::try_from(place).ok())));
+            let corners = bounds.max.to_array().into_iter().chain(bounds.min.to_array());
+            values.extend(corners.map(|v| Value::Real(Some(v))));
+            values.push(Value::Integer(Some(i64::from(ROWS_MAX) - found.len() as i64)));
+            found.extend(self.rows(sql, &values, &kinds)?.iter().map(|row| cell(row)));
+        }
+        Ok(found)
+    }
+
+    fn octree(&mut self, version: i64) -> Result<Octree, CatalogueError> {
+        let sql = "SELECT origin_x, origin_y, origin_z, leaf_side, splits_x, splits_y, splits_z FROM catalogue_versions WHERE id = $1";
+        let kinds = [[Kind::Real; 4].as_slice(), &[Kind::Integer; 3]].concat();
+        let rows = self.rows(sql, &[Value::Integer(Some(version))], &kinds)?;
+        let octree = rows.first().and_then(|row| {
+            let splits = [4, 5, 6].map(|at| u32::try_from(integer(&row[at])).unwrap_or(u32::MAX));
+            Octree::of(DVec3::new(real(&row[0]), real(&row[1]), real(&row[2])), real(&row[3]), splits)
+        });
+        let what = format!("version {version} has no octree");
+        octree.ok_or_else(|| CatalogueError::Damaged { catalogue: self.name.clone(), what })
     }
 
     /// The representations of cells of a world, in order of the cells given; at most 100,000.

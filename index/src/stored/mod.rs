@@ -21,7 +21,7 @@ pub mod page;
 pub mod publish;
 mod read;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 pub use document::Document;
 pub use read::{Pages, open, open_document};

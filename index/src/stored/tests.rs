@@ -91,7 +91,7 @@ fn document(octree: &Octree, root: String, hash: &page::Hash) -> Document {
 }
 
 /// A world of 1024 leaves, published in a folder: its document.
-fn published(folder: &Path) -> Document {
+pub(crate) fn published(folder: &Path) -> Document {
     let octree = octree();
     let workplace = Workplace::take(folder).expect("a new folder");
     let mut write = |cell, bytes: &[u8]| workplace.write(&address::page(cell, &hash(bytes)), bytes);
@@ -209,7 +209,7 @@ proptest! {
     #[test]
     fn no_bytes_make_the_parser_panic(seed: u64, cut in 0..4000usize, flips in prop::collection::vec((0..4000usize, 0..8u32), 0..4)) {
         let octree = octree();
-        let root = tree(&octree, Cell { level: 2, place: [0, 0, 0] }, &|cell| cell.place[0] as u64 != seed % 4, &mut |_, _| Ok(()));
+        let root = tree(&octree, Cell { level: 2, place: [0, 0, 0] }, &|cell| cell.place[0] != seed % 4, &mut |_, _| Ok(()));
         let mut bytes = page::encode(&root.expect("leaves are there"), &octree, SHARES);
         for (at, bit) in flips {
             if let Some(byte) = bytes.get_mut(at) {
