@@ -3,7 +3,9 @@
 //! [`world::open`] takes whatever is recognised; [`world::World`] is what everything else works on. The crate decides
 //! nothing about what to fetch and knows no clock.
 
-#[cfg(any(feature = "runs", feature = "sessions"))]
+#[cfg(feature = "catalogue")]
+pub mod catalogue;
+#[cfg(any(feature = "runs", feature = "sessions", feature = "catalogue"))]
 pub mod database;
 #[cfg(any(feature = "cityjson", feature = "terrain", feature = "asteroids", feature = "city", feature = "orthoviews"))]
 pub mod format;
@@ -17,15 +19,17 @@ pub mod import;
 pub mod manifest;
 #[cfg(any(feature = "cityjson", feature = "geometry"))]
 mod mesh;
-#[cfg(feature = "orthoviews")]
 pub mod octree;
-#[cfg(feature = "orthoviews")]
 pub mod orthoview;
 #[cfg(feature = "runs")]
 pub mod runs;
 #[cfg(feature = "sessions")]
 pub mod sessions;
 pub mod specification;
+#[cfg(feature = "stored")]
+pub mod stored;
+#[cfg(feature = "orthoviews")]
+pub mod surface;
 #[cfg(feature = "terrain")]
 pub mod terrain;
 pub mod uris;

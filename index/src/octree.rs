@@ -75,6 +75,33 @@ impl Octree {
         Ok(Octree { origin: min, leaf_side, splits })
     }
 
+    /// The octree of these parts, as [`Octree::origin`], [`Octree::leaf_side`] and [`Octree::splits`] give them; `None` if
+    /// they make none.
+    pub fn of(origin: DVec3, leaf_side: f64, splits: [u32; 3]) -> Option<Octree> {
+        let fits = splits.into_iter().all(|n| n <= LEVELS_MAX) && leaf_side.is_finite() && leaf_side > 0.0;
+        let octree = Octree { origin, leaf_side, splits };
+        (fits && origin.is_finite() && octree.bounds(octree.root()).max.is_finite()).then_some(octree)
+    }
+
+    /// The child of a cell, by which half it takes along each axis: bits 0 to 2 for x, y and z. `None` where the cell is a
+    /// leaf, or is not split along an axis whose bit is set.
+    pub fn child(&self, cell: Cell, halves: u8) -> Option<Cell> {
+        let level = cell.level.checked_sub(1)?;
+        let split = self.splits.map(|n| n > level);
+        let half = |axis: usize| u64::from(halves >> axis & 1);
+        let fits = halves < 8 && (0..3).all(|axis| split[axis] || half(axis) == 0);
+        fits.then(|| Cell {
+            level,
+            place: std::array::from_fn(|axis| (cell.place[axis] << u32::from(split[axis])) + half(axis)),
+        })
+    }
+
+    /// Which half of its parent a cell takes along each axis, as [`Octree::child`] has it; 0 for the root.
+    pub fn halves(&self, cell: Cell) -> u8 {
+        let split = self.splits.map(|n| n > cell.level);
+        (0..3).filter(|&axis| split[axis] && cell.place[axis] & 1 == 1).fold(0, |halves, axis| halves | 1 << axis)
+    }
+
     /// Least corner of the first leaf, metres.
     pub fn origin(&self) -> DVec3 {
         self.origin
@@ -219,6 +246,7 @@ mod tests {
             let mut cell = tree.root();
             for step in walk {
                 let children: Vec<_> = tree.children(cell).collect();
+                prop_assert_eq!((0..=u8::MAX).filter_map(|h| tree.child(cell, h)).collect::<Vec<_>>(), children.clone());
                 if cell.level == 0 {
                     prop_assert!(children.is_empty());
                     break;
@@ -229,6 +257,7 @@ mod tests {
                 prop_assert!((sum / volume(whole) - 1.0).abs() < 1e-9);
                 for &child in &children {
                     prop_assert_eq!(tree.parent(child), Some(cell));
+                    prop_assert_eq!(tree.child(cell, tree.halves(child)), Some(child));
                     let b = tree.bounds(child);
                     prop_assert!(b.min.cmpge(whole.min).all() && b.max.cmple(whole.max).all());
                 }

@@ -51,6 +51,8 @@ pub enum WorldKind {
     GeneratedTerrain,
     /// Generated models in space.
     Asteroids,
+    /// A stored world: orthoviews and geometry.
+    Built,
 }
 
 impl fmt::Display for WorldKind {
@@ -63,6 +65,7 @@ impl fmt::Display for WorldKind {
             WorldKind::Terrain => "elevation grid",
             WorldKind::GeneratedTerrain => "generated terrain",
             WorldKind::Asteroids => "generated asteroids",
+            WorldKind::Built => "stored world",
         })
     }
 }
@@ -185,19 +188,24 @@ pub enum WorldError {
     #[cfg(feature = "elevation")]
     #[error(transparent)]
     Elevation(#[from] crate::import::elevation::ElevationError),
+    /// It is a stored world with a fault.
+    #[cfg(feature = "stored")]
+    #[error(transparent)]
+    Stored(#[from] crate::stored::StoredError),
     /// It is a city model with a fault.
     #[cfg(feature = "cityjson")]
     #[error(transparent)]
     CityJson(#[from] crate::import::cityjson::CityJsonError),
 }
 
-const EXPECTED: &str = "a 3D Tiles tileset.json, a generated world (city.json, terrain.json, asteroids.json), a folder with one of them, \
+const EXPECTED: &str = "a 3D Tiles tileset.json, a generated world (city.json, terrain.json, asteroids.json), a stored world (world.toml), \
+    a folder with one of them, \
     an elevation grid (.npz, GeoTIFF), or a CityJSON or CityJSONSeq file";
 
 /// What makes a folder a world.
-const INSIDE: [&str; 4] = ["tileset.json", "city.json", "terrain.json", "asteroids.json"];
+const INSIDE: [&str; 5] = ["world.toml", "tileset.json", "city.json", "terrain.json", "asteroids.json"];
 
-/// Opens a world, recognised by content: a tileset, a generated world's document, a folder with one of them, an
+/// Opens a world, recognised by content: a stored world, a tileset, a generated world's document, a folder with one of them, an
 /// elevation grid, or a city model in CityJSON or CityJSONSeq.
 pub fn open(path: &Path) -> Result<World, WorldError> {
     let metadata = std::fs::metadata(path).map_err(|source| WorldError::Io { file: path.to_owned(), source })?;
@@ -216,6 +224,9 @@ pub fn open(path: &Path) -> Result<World, WorldError> {
     #[cfg(feature = "elevation")]
     if let Some(format) = crate::import::elevation::format(&head) {
         return Ok(crate::import::elevation::open(&file, format)?);
+    }
+    if file.file_name().is_some_and(|name| name == "world.toml") {
+        return open_stored(&file);
     }
     match recognise(&head) {
         Content::Generated(format) => open_generated(&file, format),
@@ -240,6 +251,16 @@ fn open_tileset(file: &Path) -> Result<World, WorldError> {
 #[cfg(not(feature = "tiles3d"))]
 fn open_tileset(file: &Path) -> Result<World, WorldError> {
     Err(WorldError::NotBuilt { file: file.to_owned(), kind: "3D Tiles" })
+}
+
+#[cfg(feature = "stored")]
+fn open_stored(file: &Path) -> Result<World, WorldError> {
+    Ok(crate::stored::open(file.parent().unwrap_or(Path::new("")))?)
+}
+
+#[cfg(not(feature = "stored"))]
+fn open_stored(file: &Path) -> Result<World, WorldError> {
+    Err(WorldError::NotBuilt { file: file.to_owned(), kind: "stored worlds" })
 }
 
 /// Opens a generated world by what its document says it is.

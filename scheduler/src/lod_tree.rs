@@ -4,6 +4,7 @@
 //! everything beneath the node. The arrays are flat and in preorder: the subtree of a node is one interval of ids,
 //! so whatever is kept per node can be summed, searched and refreshed by slices.
 
+use crate::benefit::element::ELEMENTS;
 use crate::view::POSITION_MAX;
 use glam::{DVec3, Vec3};
 
@@ -69,8 +70,8 @@ pub struct Representation {
     pub error: f32,
     /// The representation that must be there first, if any. It has to be inserted earlier.
     pub prerequisite: Option<RepId>,
-    /// For an orthoview, which of the 26 canonical directions it was rendered along: `9·(x+1) + 3·(y+1) + (z+1)`
-    /// for a direction (x, y, z) of −1, 0 and 1. `None` shows every side.
+    /// For an orthoview, from which of the 26 canonical directions it looks at the node: `9·(x+1) + 3·(y+1) + (z+1)`
+    /// for the direction (x, y, z) of −1, 0 and 1 from the node towards the eye. `None` shows every side.
     pub direction: Option<u8>,
 }
 
@@ -78,7 +79,7 @@ const NO_REP: u32 = u32::MAX;
 const NO_DIRECTION: u8 = u8::MAX;
 
 /// A world as the scheduler sees it. At most 2³²−2 nodes and as many representations; 86 to 95 bytes for a node with
-/// one representation.
+/// one representation. With directions 56 bytes a node more, and 32 a representation where a node has nine.
 #[derive(Clone, Debug, Default)]
 pub struct LodTree {
     parent: Vec<u32>,
@@ -98,6 +99,9 @@ pub struct LodTree {
     /// Per node, bounds for the representations strictly beneath, as the upper halves of f32s rounded the safe way: area
     /// per wire byte by axis, least error, least wire bytes.
     beneath: Vec<[u16; 5]>,
+    /// Per node, m² by element, summed over the leaves beneath; empty unless the tree has directions and some leaf told
+    /// its surface.
+    surface: Vec<[f32; ELEMENTS]>,
 }
 
 /// Bounds for every representation strictly beneath a node.
@@ -204,6 +208,14 @@ pub enum LodTreeError {
         /// As given.
         importance: f32,
     },
+    /// Shares of a surface that are not finite numbers ≥ 0, or all 0.
+    #[error("node {node} has {share} as a share of its surface; expected finite numbers ≥ 0, not all of them 0")]
+    Surface {
+        /// The node.
+        node: u32,
+        /// The share that is wrong.
+        share: f32,
+    },
     /// A tree deeper than [`DEPTH_MAX`].
     #[error(
         "the tree is more than {DEPTH_MAX} levels deep; expected at most that, because decisions walk from leaf to root"
@@ -242,6 +254,10 @@ pub struct LodTreeBuilder {
     boxes: Vec<Aabb>,
     areas: Vec<[f64; 3]>,
     beneath: Vec<Beneath>,
+    /// μ of the leaf that is open, and its node.
+    shares: Option<(u32, [f32; ELEMENTS])>,
+    /// Leaves with μ, ascending.
+    surfaces: Vec<(u32, [f32; ELEMENTS])>,
     any_importance: bool,
     any_prerequisite: bool,
     any_direction: bool,
@@ -315,6 +331,25 @@ impl LodTreeBuilder {
         Ok(RepId(id))
     }
 
+    /// How the surface of the node opened last is spread over orientations, μ by element
+    /// ([`crate::benefit::element::normals`]); made to sum to 1. It counts for a leaf, and only where the tree has
+    /// directions. A leaf that does not tell has the six faces of its content box.
+    pub fn surface(&mut self, shares: [f32; ELEMENTS]) -> Result<(), LodTreeError> {
+        let node = *self.open.last().ok_or(LodTreeError::Nesting("a surface outside every node"))?;
+        if let Some(&share) = shares.iter().find(|share| !(share.is_finite() && **share >= 0.0)) {
+            return Err(LodTreeError::Surface { node, share });
+        }
+        let most = shares.iter().copied().fold(0.0, f32::max);
+        if most == 0.0 {
+            return Err(LodTreeError::Surface { node, share: 0.0 });
+        }
+        // Scaled first, so that the sum is finite.
+        let scaled = shares.map(|share| share / most);
+        let sum: f32 = scaled.iter().sum();
+        self.shares = Some((node, scaled.map(|share| share / sum)));
+        Ok(())
+    }
+
     /// Closes the node opened last. `content` bounds what the node itself shows: required for a leaf, and for an inner
     /// node only widened into its box (its weight is that of its leaves). `importance` ι ≥ 0 counts for leaves.
     pub fn close(&mut self, content: Option<Aabb>, importance: f32) -> Result<(), LodTreeError> {
@@ -350,6 +385,7 @@ impl LodTreeBuilder {
             areas = [iota * side.y * side.z, iota * side.x * side.z, iota * side.x * side.y];
             self.tree.importance[index] = importance;
             self.any_importance |= importance != 1.0;
+            self.surfaces.extend(self.shares.take().filter(|(of, _)| *of == node));
         }
         self.tree.subtree_end[index] = end;
         self.tree.centre[index] = centre;
@@ -396,9 +432,21 @@ impl LodTreeBuilder {
         }
         if !self.any_direction {
             self.tree.rep_direction = Vec::new();
+        } else if !self.surfaces.is_empty() {
+            self.tree.surface = self.tree.sum_surfaces(&self.surfaces);
         }
         Ok(self.tree)
     }
+}
+
+/// The faces of a box by element, m², from the areas across each axis; no corner has any.
+fn faces_of_box(areas: [f32; 3]) -> [f64; ELEMENTS] {
+    let mut faces = [0.0; ELEMENTS];
+    for (axis, area) in areas.into_iter().enumerate() {
+        faces[2 * axis] = f64::from(area);
+        faces[2 * axis + 1] = f64::from(area);
+    }
+    faces
 }
 
 /// Whether a corner is finite and as near as a view can be.
@@ -498,6 +546,40 @@ impl LodTree {
         DVec3::new(f64::from(x), f64::from(y), f64::from(z))
     }
 
+    /// S_n by element, m²: Σ over the leaves beneath of ι × the surface of the content box × μ_s. A box's own faces where
+    /// the leaf told nothing, so that Σ max(0, n_s·u) S_s is then its area projected along u.
+    pub fn surface(&self, node: NodeId) -> [f64; ELEMENTS] {
+        match self.surface.get(node.index()) {
+            Some(areas) => areas.map(f64::from),
+            None => faces_of_box(self.area[node.index()]),
+        }
+    }
+
+    /// S_n by element from the leaves that tell theirs, in ascending order, and the boxes of the others.
+    fn sum_surfaces(&self, told: &[(u32, [f32; ELEMENTS])]) -> Vec<[f32; ELEMENTS]> {
+        let mut sums = vec![[0.0f64; ELEMENTS]; self.nodes()];
+        let mut told = told.iter().peekable();
+        for node in 0..self.nodes() {
+            if self.subtree_end[node] as usize == node + 1 {
+                let faces = faces_of_box(self.area[node]);
+                sums[node] = match told.next_if(|(of, _)| *of as usize == node) {
+                    Some((_, shares)) => {
+                        let whole: f64 = faces.iter().sum();
+                        shares.map(|share| whole * f64::from(share))
+                    }
+                    None => faces,
+                };
+            }
+        }
+        for node in (1..self.nodes()).rev() {
+            let (above, below) = sums.split_at_mut(node);
+            for (sum, area) in above[self.parent[node] as usize].iter_mut().zip(below[0]) {
+                *sum += area;
+            }
+        }
+        sums.into_iter().map(|areas| areas.map(|area| area as f32)).collect()
+    }
+
     /// Bounds for every representation strictly beneath.
     pub fn beneath_bounds(&self, node: NodeId) -> Beneath {
         Beneath::unpack(self.beneath[node.index()])
@@ -549,7 +631,7 @@ impl LodTree {
         self.rep_prerequisite.get(rep.index()).filter(|&&r| r != NO_REP).map(|&r| RepId(r))
     }
 
-    /// u_r: the direction an orthoview was rendered along, as its code ([`Representation::direction`]).
+    /// u_r: the direction from which an orthoview looks at its node, as its code ([`Representation::direction`]).
     pub fn direction(&self, rep: RepId) -> Option<u8> {
         self.rep_direction.get(rep.index()).copied().filter(|&d| d != NO_DIRECTION)
     }
@@ -617,6 +699,7 @@ impl LodTree {
             + self.representations() * (4 * 4)
             + self.rep_prerequisite.len() * 4
             + self.rep_direction.len()
+            + self.surface.len() * 4 * ELEMENTS
     }
 }
 

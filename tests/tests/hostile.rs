@@ -306,7 +306,7 @@ fn schemathesis_finds_nothing() {
     beside_a_flight(&options, |server| {
         let schema = format!("http://127.0.0.1:{}/openapi.json", server.port());
         let checks = "not_a_server_error,response_schema_conformance,content_type_conformance";
-        let examples = "100";
+        let examples = "500";
         let ended = std::process::Command::new(&program)
             .args([
                 "run",

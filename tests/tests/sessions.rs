@@ -2,6 +2,8 @@
 
 #[path = "sessions/lifecycle.rs"]
 mod lifecycle;
+#[path = "sessions/modes.rs"]
+mod modes;
 #[path = "sessions/operation.rs"]
 mod operation;
 #[path = "sessions/stream.rs"]

@@ -11,7 +11,7 @@ use sqlx::postgres::PgConnection;
 pub(crate) enum Kind {
     Integer,
     Real,
-    #[cfg(feature = "runs")]
+    #[cfg(any(feature = "runs", feature = "catalogue"))]
     Text,
 }
 
@@ -56,7 +56,7 @@ macro_rules! values {
                 Ok(match kind {
                     Kind::Integer => Value::Integer(row.try_get(column)?),
                     Kind::Real => Value::Real(row.try_get(column)?),
-                    #[cfg(feature = "runs")]
+                    #[cfg(any(feature = "runs", feature = "catalogue"))]
                     Kind::Text => Value::Text(row.try_get(column)?),
                 })
             })

@@ -21,8 +21,10 @@ use crate::mesh::triangle::closest;
 
 /// Relative tolerance of the bracket.
 const RELATIVE: f64 = 0.05;
-/// Pieces that are looked at beyond one for each triangle, at most; then the bracket stays as wide as it is.
+/// Pieces that are looked at beyond one for each triangle, at most: so many, and so many for each triangle of either
+/// surface; then the bracket stays as wide as it is.
 const EXTRA_PIECES: usize = 20_000;
+const EXTRA_PIECES_EACH: usize = 4;
 /// Triangles that are looked at first, for a distance that settles others.
 const FIRST: usize = 512;
 /// Nodes that a search visits at most, and all together on average.
@@ -93,14 +95,24 @@ struct Way<'a> {
     settled: f64,
     /// Place of the triangle that was the last to be nearest.
     hint: u32,
+    /// Pieces that may be made.
+    extra: usize,
     /// Nodes that may yet be visited.
     visits: u64,
 }
 
 impl Way<'_> {
     fn new(other: &Nearest, known: f64, absolute: f64, parts: usize) -> Way<'_> {
-        let visits = VISITS_MEAN * (parts + EXTRA_PIECES) as u64;
-        Way { other, absolute, lower: known, settled: 0.0, hint: 0, visits }
+        let extra = EXTRA_PIECES + EXTRA_PIECES_EACH * (parts + other.len());
+        Way {
+            other,
+            absolute,
+            lower: known,
+            settled: 0.0,
+            hint: 0,
+            extra,
+            visits: VISITS_MEAN * (parts + extra) as u64,
+        }
     }
 
     /// The largest upper bound that is near enough to the largest distance found.
@@ -166,7 +178,7 @@ impl Way<'_> {
             self.sort(Piece { upper, age: made, corners: *corners, whole }, &mut pieces);
             made += 1;
         }
-        for _ in 0..EXTRA_PIECES / 2 {
+        for _ in 0..self.extra / 2 {
             if pieces.peek().is_none_or(|piece: &Piece| piece.upper <= self.allowed()) {
                 break;
             }

@@ -33,6 +33,25 @@ pub trait Workshop {
     /// # Errors
     /// Images that cannot be kept.
     fn keep(&mut self, cell: Cell, images: &[(Direction, &Orthoview)]) -> Result<(), Self::Error>;
+
+    /// A cell's images as [`Workshop::finished`] was given them in an earlier run, if that is known: then neither it nor
+    /// what lies beneath is made again.
+    ///
+    /// # Errors
+    /// What was kept and cannot be read.
+    fn restored(&mut self, cell: Cell) -> Result<Option<Vec<Option<Orthoview>>>, Self::Error> {
+        let _ = cell;
+        Ok(None)
+    }
+
+    /// Told that a cell is done, after everything beneath it: with its image in each direction, in their order.
+    ///
+    /// # Errors
+    /// What cannot be noted.
+    fn finished(&mut self, cell: Cell, images: &[Option<Orthoview>]) -> Result<(), Self::Error> {
+        let _ = (cell, images);
+        Ok(())
+    }
 }
 
 /// What was done.
@@ -81,6 +100,10 @@ struct Builder<'a, W> {
 impl<W: Workshop> Builder<'_, W> {
     /// A cell's images, one a direction. At most [`crate::octree::LEVELS_MAX`] calls deep.
     fn cell(&mut self, cell: Cell) -> Result<Vec<Option<Orthoview>>, W::Error> {
+        if let Some(images) = self.workshop.restored(cell)? {
+            self.hold(bytes(&images));
+            return Ok(images);
+        }
         let images = if cell.level == 0 { self.leaf(cell)? } else { self.inner(cell)? };
         let shown: Vec<_> =
             self.lattices.iter().zip(&images).filter_map(|(l, image)| Some((l.direction, image.as_ref()?))).collect();
@@ -89,6 +112,7 @@ impl<W: Workshop> Builder<'_, W> {
             self.made.images += shown.len() as u64;
             self.workshop.keep(cell, &shown)?;
         }
+        self.workshop.finished(cell, &images)?;
         Ok(images)
     }
 

@@ -21,6 +21,16 @@ impl Direction {
         u8::try_from(code).ok().map(Direction)
     }
 
+    /// 9(x + 1) + 3(y + 1) + (z + 1), as LOD trees have it.
+    pub fn code(self) -> u8 {
+        self.0
+    }
+
+    /// The direction of that code.
+    pub fn from_code(code: u8) -> Option<Direction> {
+        (code < 27 && code != 13).then_some(Direction(code))
+    }
+
     /// −1, 0 or 1 along each axis.
     pub fn signs(self) -> [i32; 3] {
         let code = i32::from(self.0);

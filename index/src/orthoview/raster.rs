@@ -1,6 +1,7 @@
 //! Triangles into a cell's image, on the CPU, in f64: the same pixels on every machine.
 
 use super::image::{Lattice, Orthoview, Pixel};
+use super::texture::linear;
 use super::{composite, image::Rect};
 use crate::octree::{Cell, Octree};
 use foresight_scheduler::lod_tree::Aabb;
@@ -32,8 +33,28 @@ pub struct Triangle {
     pub uv: [DVec2; 3],
     /// What it looks like.
     pub material: u32,
+    /// Colours of the corners, sRGB, interpolated and multiplied with the material's in linear light.
+    pub tint: [[u8; 3]; 3],
     /// Whether its back is seen too.
     pub two_sided: bool,
+}
+
+impl Triangle {
+    /// The tint that leaves a material as it is.
+    pub const WHITE: [[u8; 3]; 3] = [[255; 3]; 3];
+}
+
+impl Default for Triangle {
+    /// A white point at the origin.
+    fn default() -> Triangle {
+        Triangle {
+            corners: [DVec3::ZERO; 3],
+            uv: [DVec2::ZERO; 3],
+            material: 0,
+            tint: Triangle::WHITE,
+            two_sided: false,
+        }
+    }
 }
 
 /// What drawing did.
@@ -126,6 +147,7 @@ fn draw(
         let texture = (v - u).perp_dot(w - u).abs();
         (texture / area.abs()).sqrt()
     };
+    let tint = (triangle.tint != Triangle::WHITE).then(|| triangle.tint.map(|corner| corner.map(linear)));
     let size = Rect { min: I64Vec2::ZERO, max: target.rect.max - target.rect.min };
     let low = a.min(b).min(c);
     let high = a.max(b).max(c);
@@ -162,9 +184,16 @@ fn draw(
             if !(point.cmpge(holds.min).all() && point.cmple(holds.max).all()) {
                 continue;
             }
-            let (second, third) = if area > 0.0 { (v, w) } else { (w, v) };
-            let uv = u * shares[0] + second * shares[1] + third * shares[2];
-            let Some(colour) = surface.colour(triangle.material, uv, footprint) else { continue };
+            // The shares belong to a, p and q.
+            let [_, second, third] = if area > 0.0 { shares } else { [shares[0], shares[2], shares[1]] };
+            let uv = u * shares[0] + v * second + w * third;
+            let Some(mut colour) = surface.colour(triangle.material, uv, footprint) else { continue };
+            if let Some([a, b, c]) = &tint {
+                let shares = [shares[0], second, third].map(|share| share as f32);
+                for (channel, value) in colour.iter_mut().enumerate() {
+                    *value *= shares[0] * a[channel] + shares[1] * b[channel] + shares[2] * c[channel];
+                }
+            }
             drawn.samples += 1;
             target.pixels[index] = Pixel { depth: depth as f32, colour, normal };
         }
@@ -178,7 +207,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn triangle(corners: [[f64; 3]; 3]) -> Triangle {
-        Triangle { corners: corners.map(DVec3::from_array), uv: [DVec2::ZERO; 3], material: 0, two_sided: false }
+        Triangle { corners: corners.map(DVec3::from_array), ..Triangle::default() }
     }
 
     /// A square of side `side` at height z, facing up.
@@ -283,6 +312,30 @@ mod tests {
         );
         assert_eq!((drawn.triangles, drawn.not_finite, drawn.degenerate), (4, 2, 1));
         assert!(view.expect("the large one covers all").pixels.iter().all(Pixel::is_some));
+    }
+
+    #[test]
+    fn tints_are_interpolated_in_linear_light() {
+        let octree = octree(8.0, 8.0);
+        let mut lit = triangle([[0.0, 0.0, 1.0], [8.0, 0.0, 1.0], [0.0, 8.0, 1.0]]);
+        lit.tint = [[0, 0, 0], [255, 0, 0], [0, 255, 0]];
+        let above = lattice(nine()[0], 0.5);
+        let surface = Plain([1.0, 0.5, 1.0]);
+        // Turned over it is the same from its other side, which is then its front.
+        let over = Triangle { corners: [lit.corners[0], lit.corners[2], lit.corners[1]], two_sided: true, ..lit };
+        let over = Triangle { tint: [lit.tint[0], lit.tint[2], lit.tint[1]], ..over };
+        for given in [lit, over] {
+            let mesh = [(&[given][..], &surface as &dyn Surface)];
+            let view = leaf(&octree, octree.root(), &above, mesh, &mut Drawn::default()).expect("something is there");
+            for (index, pixel) in view.pixels.iter().enumerate().filter(|(_, p)| p.is_some()) {
+                let at = view.position(&above, index).expect("present") / 8.0;
+                if at.x + at.y < 0.9 {
+                    let expected = [at.x, 0.5 * at.y, 0.0];
+                    let off = (0..3).map(|c| (f64::from(pixel.colour[c]) - expected[c]).abs()).fold(0.0, f64::max);
+                    assert!(off < 1e-5, "{at}: {:?}", pixel.colour);
+                }
+            }
+        }
     }
 
     /// Nearest hit of a ray from the eye's side, by Möller and Trumbore's formula: apart from the rasteriser.

@@ -2,7 +2,7 @@
 
 use super::raster::Surface;
 use glam::DVec2;
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 /// Widest and highest texture that is read, texels.
 pub const SIDE_MAX: u32 = 16_384;
@@ -162,7 +162,7 @@ pub struct Materials {
     /// By number.
     pub materials: Vec<Material>,
     /// By number; absent where it could not be read.
-    pub textures: Vec<Option<Texture>>,
+    pub textures: Vec<Option<Arc<Texture>>>,
 }
 
 impl Surface for Materials {
@@ -206,7 +206,7 @@ mod tests {
         let texture = Texture::new(2, 1, vec![[255, 0, 0, 255], [0, 255, 0, 0]]);
         assert_eq!(texture.levels[1].2, [[255, 0, 0, 128]]);
         let material = Material { texture: Some(0), cutoff: 0.5, ..Material::default() };
-        let surface = Materials { materials: vec![material], textures: vec![Some(texture)] };
+        let surface = Materials { materials: vec![material], textures: vec![Some(Arc::new(texture))] };
         assert_eq!(surface.colour(0, DVec2::new(0.75, 0.5), 0.0), None);
         assert_eq!(surface.colour(0, DVec2::new(0.25, 0.5), 0.0), Some([1.0, 0.0, 0.0]));
         assert_eq!(surface.colour(7, DVec2::ZERO, 0.0), Some([1.0; 3]), "no such material: white");

@@ -3,6 +3,7 @@
 pub mod accuracy;
 pub mod coverage;
 pub mod cut;
+pub mod element;
 pub mod frustum;
 pub mod quality;
 pub mod solid_angle;

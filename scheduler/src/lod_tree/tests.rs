@@ -80,3 +80,32 @@ fn a_tree_too_deep_to_walk_is_refused() -> Result<(), LodTreeError> {
     assert_eq!(b.finish()?.ancestors(NodeId(DEPTH_MAX as u32 - 1)).count(), DEPTH_MAX);
     Ok(())
 }
+
+#[test]
+fn surfaces_are_summed_and_kept_only_with_directions() -> Result<(), LodTreeError> {
+    let build = |direction| -> Result<LodTree, LodTreeError> {
+        let mut b = LodTreeBuilder::default();
+        b.open()?;
+        b.add(Representation { direction, ..rep(10, 4.0) })?;
+        b.open()?;
+        let mut shares = [0.0; ELEMENTS];
+        (shares[5], shares[13]) = (3.0, 1.0);
+        b.surface(shares)?;
+        b.close(Some(unit(0.0)), 2.0)?;
+        b.open()?;
+        b.close(Some(unit(5.0)), 1.0)?;
+        assert!(matches!(b.surface([f32::NAN; ELEMENTS]), Err(LodTreeError::Surface { node: 0, .. })));
+        assert!(matches!(b.surface([0.0; ELEMENTS]), Err(LodTreeError::Surface { node: 0, .. })));
+        b.close(None, 1.0)?;
+        b.finish()
+    };
+    let (with, without) = (build(Some(14))?, build(None)?);
+    // Six faces of 1 m², twice as important, three quarters of them facing up; then the faces of a cube.
+    let (told, default) = (with.surface(NodeId(1)), with.surface(NodeId(2)));
+    assert!(told[5] == 9.0 && told[13] == 3.0 && told.iter().sum::<f64>() == 12.0);
+    assert!(default[..6] == [1.0; 6] && default[6..] == [0.0; 8]);
+    assert!((0..ELEMENTS).all(|s| with.surface(NodeId(0))[s] == told[s] + default[s]));
+    assert_eq!(without.surface(NodeId(1))[..6], [2.0; 6]);
+    assert_eq!(with.heap_bytes() - without.heap_bytes(), 1 + 3 * 4 * ELEMENTS);
+    Ok(())
+}

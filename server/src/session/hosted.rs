@@ -172,6 +172,10 @@ impl Hosted {
     }
 
     fn frame(&mut self, host: &Host, frame: Frame) -> Result<(), Over> {
+        if frame.over.as_ref().is_some_and(|over| !self.is(over)) {
+            // What a connection said before it was superseded, read only after: the hello that resumed has said what is held.
+            return Ok(());
+        }
         self.frames += 1;
         let received_ns = self.nanos(frame.at);
         let begun = clock::now();

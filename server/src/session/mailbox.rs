@@ -46,6 +46,8 @@ pub(super) enum Item {
 pub(super) struct Frame {
     pub(super) at: Instant,
     pub(super) messages: Vec<ClientMessage>,
+    /// The connection that it came over; `None` if it named its session.
+    pub(super) over: Option<Arc<Outgoing>>,
     /// Given back when they have been worked off.
     pub(super) room: Option<OwnedSemaphorePermit>,
 }
@@ -180,7 +182,8 @@ impl Handle {
             };
             if now.saturating_duration_since(frame.at) > MERGE_AFTER {
                 while let Some(Item::Frame(next)) = mail.items.front() {
-                    if frame.messages.len() + next.messages.len() > messages_max {
+                    let is_same = frame.over.as_ref().map(Arc::as_ptr) == next.over.as_ref().map(Arc::as_ptr);
+                    if !is_same || frame.messages.len() + next.messages.len() > messages_max {
                         break;
                     }
                     let Some(Item::Frame(next)) = mail.items.pop_front() else { break };
@@ -324,7 +327,7 @@ mod tests {
     }
 
     fn frame(at: Instant, messages: Vec<ClientMessage>) -> Item {
-        Item::Frame(Frame { at, messages, room: None })
+        Item::Frame(Frame { at, messages, over: None, room: None })
     }
 
     fn messages(turn: &Turn) -> Vec<ClientMessage> {

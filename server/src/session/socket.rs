@@ -182,7 +182,7 @@ async fn read(
         Err(error) => return End { reason: "refused", error: Some(error) },
     };
     let gone = Gone { session: session.clone(), outgoing: outgoing.clone() };
-    let end = frames(host, &session, (messages, bytes), stream, limits, encoding).await;
+    let end = frames(host, (&session, &outgoing), (messages, bytes), stream, limits, encoding).await;
     drop(gone);
     end
 }
@@ -203,7 +203,7 @@ impl Drop for Gone {
 /// Passes frames on to the session; `first` is what came with the hello.
 async fn frames(
     host: &Host,
-    session: &Arc<Handle>,
+    (session, outgoing): (&Arc<Handle>, &Arc<Outgoing>),
     first: (Vec<ClientMessage>, usize),
     stream: &mut SplitStream<WebSocket>,
     limits: &mut Limits,
@@ -215,7 +215,7 @@ async fn frames(
             let at = clock::now();
             // Where there is no room, the socket is not read: the client's own system holds it back.
             let Some(room) = session.room(bytes).await else { return End::silent("session_over") };
-            if !session.post(Item::Frame(Frame { at, messages, room: Some(room) })) {
+            if !session.post(Item::Frame(Frame { at, messages, over: Some(outgoing.clone()), room: Some(room) })) {
                 return End::silent("session_over");
             }
         }

@@ -176,7 +176,7 @@ pub(super) async fn open(
     // Until somebody reads the events.
     session.post(Item::Absent { at: now, outgoing, keeps_answers: true });
     if !messages.is_empty() {
-        session.post(Item::Frame(Frame { at: now, messages, room: session.room_now(body.len()) }));
+        session.post(Item::Frame(Frame { at: now, messages, over: None, room: session.room_now(body.len()) }));
     }
     let opened = Opened {
         events: format!("/sessions/{}/events", session.id),
@@ -238,7 +238,7 @@ pub(super) async fn frames(
     allowed.map_err(too_much)?;
     let messages = read(&host, &headers, &body)?;
     let room = session.room_now(body.len()).ok_or_else(|| too_much(Duration::ZERO))?;
-    if !session.post(Item::Frame(Frame { at: now, messages, room: Some(room) })) {
+    if !session.post(Item::Frame(Frame { at: now, messages, over: None, room: Some(room) })) {
         return Err(Problem::not_found("the session is over"));
     }
     Ok(StatusCode::ACCEPTED)

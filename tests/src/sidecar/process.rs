@@ -99,13 +99,29 @@ impl Server {
         self.child.wait().expect("a child can be waited for");
     }
 
+    /// Tells it to end, and does not wait.
+    ///
+    /// # Panics
+    /// If it cannot be told.
+    pub fn terminate(&self) {
+        let told = Command::new("kill").args(["-TERM", &self.child.id().to_string()]).status();
+        assert!(told.is_ok_and(|status| status.success()), "the server can be told to end");
+    }
+
+    /// Whether it still runs.
+    ///
+    /// # Panics
+    /// If that cannot be asked.
+    pub fn runs(&mut self) -> bool {
+        self.child.try_wait().expect("a child can be asked for").is_none()
+    }
+
     /// Tells it to end and answers its exit code and log.
     ///
     /// # Panics
     /// If it does not end in time.
     pub fn stop(mut self) -> (Option<i32>, String) {
-        let told = Command::new("kill").args(["-TERM", &self.child.id().to_string()]).status();
-        assert!(told.is_ok_and(|status| status.success()), "the server can be told to end");
+        self.terminate();
         let code = program::wait(&mut self.child, ENDING);
         (code.unwrap_or_else(|| panic!("the server did not end in time\n{}", self.log())), self.log())
     }

@@ -5,6 +5,7 @@
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{Ipv4Addr, Shutdown, TcpListener, TcpStream};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -45,6 +46,7 @@ pub struct Proxy {
     port: u16,
     spoiled: Counts,
     sockets: Sockets,
+    is_healed: Arc<AtomicBool>,
 }
 
 /// How often each address was spoiled.
@@ -62,16 +64,19 @@ impl Proxy {
         let port = listener.local_addr().expect("its address").port();
         let (spoiled, sockets) = (Counts::default(), Sockets::default());
         let (counts, upgraded) = (spoiled.clone(), sockets.clone());
+        let is_healed = Arc::new(AtomicBool::new(false));
+        let healed = is_healed.clone();
         std::thread::spawn(move || {
             for client in listener.incoming().map_while(Result::ok) {
                 let (counts, upgraded) = (counts.clone(), upgraded.clone());
+                let spoils = spoils.filter(|_| !healed.load(Ordering::Relaxed));
                 std::thread::spawn(move || {
                     // A connection that breaks is what this is for.
                     let _ = serve(client, server_port, spoils.as_ref(), &counts, &upgraded);
                 });
             }
         });
-        Proxy { port, spoiled, sockets }
+        Proxy { port, spoiled, sockets, is_healed }
     }
 
     /// Its address, as `--server` takes it.
@@ -83,6 +88,11 @@ impl Proxy {
     pub fn cut(&self) -> usize {
         let sockets = std::mem::take(&mut *self.sockets.lock().unwrap_or_else(PoisonError::into_inner));
         sockets.iter().filter(|socket| socket.shutdown(Shutdown::Both).is_ok()).count()
+    }
+
+    /// From now on nothing is spoiled.
+    pub fn heal(&self) {
+        self.is_healed.store(true, Ordering::Relaxed);
     }
 
     /// Responses that were spoiled.

@@ -1,12 +1,19 @@
 //! Contents that fail.
 
 use std::collections::BTreeSet;
+use std::path::Path;
+use std::time::Duration;
 
 use foresight_tests::sidecar::case::Case;
 use foresight_tests::sidecar::process::Server;
 use foresight_tests::sidecar::proxy::{Fault, Proxy, Spoiled};
 
-use crate::{files, is_sound};
+use crate::{files, is_sound, recovery};
+
+/// Of the link, bytes/s: 8 Mbit/s.
+const RATE: f64 = 1_000_000.0;
+/// Until a failed representation is asked for again: 0.5 s, then 1 s.
+const ASKED_AGAIN_S: f64 = 1.5;
 
 /// Every third content fails once: the client says so, and gets it later.
 fn spoiled(fault: Fault, reason: &str) {
@@ -41,6 +48,34 @@ fn spoiled(fault: Fault, reason: &str) {
     let (code, log) = server.stop();
     assert_eq!(code, Some(0), "{log}");
     assert!(!log.contains("panic"), "{log}");
+    if foresight_tests::full().is_ok() {
+        healed(folder, &case, fault);
+    }
+}
+
+/// Faults that end: how long the deficit takes to be level with an undisturbed flight's.
+fn healed(folder: &Path, case: &Case, fault: Fault) {
+    let fly = |name: &str, spoiled: Option<Spoiled>| {
+        let server = Server::start(folder, &["--world", case.world(), "--link", case.link()]);
+        let proxy = Proxy::start(server.port(), spoiled);
+        let viewer = case.start(folder, &proxy.url(), name, &["--stall", "2"]);
+        let begun = (0..200).any(|_| {
+            std::thread::sleep(Duration::from_millis(50));
+            server.metric("foresight_sessions_connected") == Some(1.0)
+        });
+        assert!(begun, "no session");
+        std::thread::sleep(Duration::from_secs(4));
+        proxy.heal();
+        case.finish(folder, viewer, name)
+    };
+    let undisturbed = fly("undisturbed.jsonl", None);
+    let disturbed = fly("healed.jsonl", Some(Spoiled { fault, one_in: 3, times: u32::MAX }));
+    let failed = disturbed.flown.lines.iter().filter(|line| line.event == "failed");
+    let over_s = failed.map(|line| line.t_ns).max().expect("something has failed") as f64 * 1e-9;
+    let name = format!("{fault:?} until {over_s:.1} s");
+    let (allowed, returned) = recovery(&name, case, (&undisturbed, &disturbed), over_s, RATE);
+    let allowed = allowed + ASKED_AGAIN_S;
+    assert!(returned.is_some_and(|returned| returned <= allowed), "{returned:?} of {allowed} s");
 }
 
 #[test]

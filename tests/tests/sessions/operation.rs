@@ -1,5 +1,7 @@
 //! Configuration, access, recordings, the database and shutdown, as an operator meets them.
 
+use std::io::{Read as _, Write as _};
+use std::net::TcpStream;
 use std::time::Duration;
 
 use crate::WORLD;
@@ -221,4 +223,27 @@ fn a_signal_ends_sessions_with_a_word() {
         log.lines().map(|line| serde_json::from_str(line).unwrap_or_else(|_| panic!("no JSON: {line:?}"))).collect();
     let end = lines.iter().find(|line| line["message"] == "session ends").expect("its line");
     assert!(end["reason"] == "shutdown" && end["frames"].as_u64() >= Some(1), "{end}");
+}
+
+#[test]
+fn a_second_signal_ends_what_the_first_waits_for() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let options = ["--link", "constant:8kbit,40ms", "--shutdown-within", "5m"];
+    let mut server = Server::start(folder.path(), &[&WORLD[..], &options].concat());
+    let mut client = Client::connect(server.port(), Encoding::Json);
+    client.greet(hello("w"));
+    assert!(client.send(&[foresight_tests::sidecar::client::view(0, 1)]));
+    let uri = client.until(|message| match message {
+        foresight_wire::message::ServerMessage::Fetch(fetch) => Some(fetch.uri.clone()),
+        _ => None,
+    });
+    // A transfer of many seconds, which the first signal lets come to its end.
+    let mut transfer = TcpStream::connect(("127.0.0.1", server.port())).expect("the server listens");
+    write!(transfer, "GET {uri} HTTP/1.1\r\nHost: localhost\r\n\r\n").expect("written");
+    transfer.read_exact(&mut [0; 16]).expect("the answer begins");
+    server.terminate();
+    std::thread::sleep(Duration::from_millis(500));
+    assert!(server.runs(), "{}", server.log());
+    let (code, log) = server.stop();
+    assert_eq!(code, Some(130), "{log}");
 }

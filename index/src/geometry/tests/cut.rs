@@ -1,6 +1,6 @@
 //! Leaves part what they share.
 
-use super::super::clip::Region;
+use super::super::clip::{Region, Whole};
 use super::*;
 use proptest::prelude::*;
 use std::collections::BTreeSet;
@@ -30,7 +30,7 @@ proptest! {
         for place in (0..64u64).map(|i| [i % 4, i / 4 % 4, i / 16]) {
             let region = Region::of(&octree, Cell { level: 0, place });
             let mut polygon = Vec::new();
-            region.clip(&corners, &uv, &mut polygon);
+            region.clip(&Whole { corners, uv, tint: [DVec3::ONE; 3] }, &mut polygon);
             let at: Vec<DVec3> = polygon.iter().map(|c| c.at).collect();
             sum += area(&at);
             for (axis, &along) in place.iter().enumerate() {
@@ -61,7 +61,8 @@ fn what_lies_in_a_shared_face_belongs_to_one_leaf() {
     let wall = |x: f64| [DVec3::new(x, 51.0, 0.0), DVec3::new(x, 57.0, 0.0), DVec3::new(x, 52.0, 3.0)];
     let shown = |x: f64, place: u64| {
         let mut polygon = Vec::new();
-        Region::of(&octree, cell(place)).clip(&wall(x), &[DVec2::ZERO; 3], &mut polygon);
+        Region::of(&octree, cell(place))
+            .clip(&Whole { corners: wall(x), uv: [DVec2::ZERO; 3], tint: [DVec3::ONE; 3] }, &mut polygon);
         polygon.len()
     };
     assert_eq!((shown(108.0, 0), shown(108.0, 1)), (0, 3));

@@ -13,7 +13,8 @@ use gltf::json::validation::Checked;
 use gltf::json::{Index, Root, Value};
 
 use super::content::ContentError;
-use super::limits::{MAX_POINTS, MAX_TRIANGLES};
+use super::limits::MAX_POINTS;
+pub(crate) use super::limits::MAX_TRIANGLES;
 
 /// Geometry of an asset in its own axes.
 #[derive(Debug, Default)]
@@ -45,7 +46,7 @@ pub(crate) struct Geometry {
 }
 
 /// A glTF asset's JSON.
-pub(super) fn root(json: &[u8]) -> Result<Root, ContentError> {
+pub(crate) fn root(json: &[u8]) -> Result<Root, ContentError> {
     let root = Root::from_slice(json)
         .map_err(|error| ContentError::new("glTF JSON", format!("{error}; expected a glTF 2.0 asset")))?;
     if !root.asset.version.starts_with("2.") {
@@ -71,7 +72,7 @@ pub(crate) fn read(
 }
 
 /// The bytes behind a data URI or a file's name.
-pub(super) fn resource(uri: &str, fetch: &dyn Fn(&str) -> Option<Vec<u8>>, geometry: &mut Geometry) -> Option<Vec<u8>> {
+pub(crate) fn resource(uri: &str, fetch: &dyn Fn(&str) -> Option<Vec<u8>>, geometry: &mut Geometry) -> Option<Vec<u8>> {
     if let Some(data) = uri.strip_prefix("data:") {
         return STANDARD.decode(data.split_once(";base64,")?.1).ok();
     }
@@ -87,14 +88,14 @@ pub(super) fn resource(uri: &str, fetch: &dyn Fn(&str) -> Option<Vec<u8>>, geome
 }
 
 /// An asset with the bytes of its buffers.
-pub(super) struct Asset<'a> {
-    pub(super) root: &'a Root,
+pub(crate) struct Asset<'a> {
+    pub(crate) root: &'a Root,
     buffers: Vec<Option<Cow<'a, [u8]>>>,
 }
 
 impl<'a> Asset<'a> {
     /// Reads the buffers; what is missing is noted in `geometry`.
-    pub(super) fn open(
+    pub(crate) fn open(
         root: &'a Root,
         binary: Option<&'a [u8]>,
         fetch: &dyn Fn(&str) -> Option<Vec<u8>>,
@@ -138,7 +139,7 @@ impl<'a> Asset<'a> {
     }
 
     /// The bytes of a buffer view and its stride; `None` if it lies outside its buffer or is compressed.
-    pub(super) fn view(&self, index: usize) -> Option<(&[u8], Option<usize>)> {
+    pub(crate) fn view(&self, index: usize) -> Option<(&[u8], Option<usize>)> {
         let view = self.root.buffer_views.get(index)?;
         let compressed = |name: &String| name.ends_with("_meshopt_compression");
         if view.extensions.iter().any(|extensions| extensions.others.keys().any(compressed)) {
@@ -179,7 +180,7 @@ impl<'a> Asset<'a> {
     }
 
     /// Walks the scene: each node with its transform and the primitives of its mesh.
-    pub(super) fn walk(
+    pub(crate) fn walk(
         &self,
         visit: &mut dyn FnMut(&gltf::json::Node, &DMat4, &[Primitive]),
     ) -> Result<(), ContentError> {
@@ -286,7 +287,7 @@ impl<'a> Asset<'a> {
     }
 
     /// The elements of an accessor; `None` if they are not there, compressed, sparse or out of range.
-    pub(super) fn elements(&self, accessor: &Accessor) -> Option<Elements<'_>> {
+    pub(crate) fn elements(&self, accessor: &Accessor) -> Option<Elements<'_>> {
         if accessor.sparse.is_some() {
             return None;
         }
@@ -312,7 +313,7 @@ impl<'a> Asset<'a> {
 }
 
 /// The image that a texture shows: an extension's (WebP, KTX2) in place of the fallback.
-pub(super) fn shown_image(texture: &gltf::json::Texture) -> usize {
+pub(crate) fn shown_image(texture: &gltf::json::Texture) -> usize {
     let extensions = texture.extensions.iter().flat_map(|extensions| extensions.others.values());
     let extended = extensions.filter_map(|extension| usize::try_from(extension.get("source")?.as_u64()?).ok()).next();
     extended.unwrap_or(texture.source.value())
@@ -372,18 +373,18 @@ fn normalisation(kind: ComponentType) -> f64 {
 }
 
 /// An accessor's elements, every one of which lies inside `bytes`.
-pub(super) struct Elements<'a> {
+pub(crate) struct Elements<'a> {
     bytes: &'a [u8],
     stride: usize,
-    pub(super) count: usize,
+    pub(crate) count: usize,
     kind: ComponentType,
-    pub(super) components: usize,
+    pub(crate) components: usize,
     normalized: bool,
 }
 
 impl Elements<'_> {
     /// One component as stored; integers without their normalisation.
-    pub(super) fn component(&self, element: usize, component: usize) -> f64 {
+    pub(crate) fn component(&self, element: usize, component: usize) -> f64 {
         let at = element * self.stride + component * self.kind.size();
         let b = &self.bytes[at..];
         match self.kind {
@@ -397,13 +398,13 @@ impl Elements<'_> {
     }
 
     /// One component as it is meant.
-    pub(super) fn normalised(&self, element: usize, component: usize) -> f64 {
+    pub(crate) fn normalised(&self, element: usize, component: usize) -> f64 {
         let scale = if self.normalized { normalisation(self.kind) } else { 1.0 };
         self.component(element, component) * scale
     }
 
     /// A vertex; NaN if the elements have fewer than 3 components.
-    pub(super) fn vec3(&self, element: usize) -> DVec3 {
+    pub(crate) fn vec3(&self, element: usize) -> DVec3 {
         if self.components < 3 {
             return DVec3::NAN;
         }

@@ -11,7 +11,7 @@ mod document;
 mod http;
 mod implicit;
 mod limits;
-mod mesh;
+pub(crate) mod mesh;
 mod resolve;
 mod source;
 mod subtree;
@@ -149,17 +149,22 @@ pub(crate) struct Loaded {
 
 /// Opens a tileset of `most` tiles at most.
 pub(crate) fn load(file: &Path, most: usize) -> Result<Loaded, Tiles3dError> {
-    let path = file.parent().map_or_else(PathBuf::new, Path::to_path_buf);
-    let unnamed = || std::io::Error::new(std::io::ErrorKind::InvalidInput, "not the name of a file");
-    let Some(name) = file.file_name().and_then(|name| name.to_str()) else {
-        return Err(Tiles3dError::Io { file: file.to_owned(), source: unnamed() });
-    };
+    let (path, name) = parted(file)?;
     let manifest = manifest_beside(&path)?;
     let stem = if name == "tileset.json" { named_folder(&path) } else { None };
     let mut loaded = load_from(Source::Files(path), manifest, name, most)?;
     loaded.world.name = stem
         .unwrap_or_else(|| Path::new(name).file_stem().map_or_else(String::new, |s| s.to_string_lossy().into_owned()));
     Ok(loaded)
+}
+
+/// The folder of a file, and its name.
+fn parted(file: &Path) -> Result<(PathBuf, &str), Tiles3dError> {
+    let unnamed = || std::io::Error::new(std::io::ErrorKind::InvalidInput, "not the name of a file");
+    let Some(name) = file.file_name().and_then(|name| name.to_str()) else {
+        return Err(Tiles3dError::Io { file: file.to_owned(), source: unnamed() });
+    };
+    Ok((file.parent().map_or_else(PathBuf::new, Path::to_path_buf), name))
 }
 
 /// The manifest of a mosaic in a folder. Only a mosaic's own counts; any other file of that name is none of ours.
