@@ -366,7 +366,7 @@ impl World {
     }
 
     /// What the world is, as 32 bytes: the BLAKE3 hash over up, then every node and every representation in order of id, with
-    /// its address. The name, the notes and the machine do not enter.
+    /// its address, then the surfaces of a world with directions. The name, the notes and the machine do not enter.
     pub fn hash(&self) -> blake3::Hash {
         let tree = &self.tree;
         let mut hasher = blake3::Hasher::new();
@@ -398,6 +398,12 @@ impl World {
             buffer.extend_from_slice(&((prefix.len() + tail.len()) as u64).to_le_bytes());
             buffer.extend_from_slice(prefix.as_bytes());
             buffer.extend_from_slice(tail.as_bytes());
+            flush(&mut buffer, 1 << 15);
+        }
+        for node in (0..tree.nodes() as u32).map(NodeId).filter(|_| tree.has_directions()) {
+            for area in tree.surface(node) {
+                buffer.extend_from_slice(&area.to_bits().to_le_bytes());
+            }
             flush(&mut buffer, 1 << 15);
         }
         flush(&mut buffer, 0);

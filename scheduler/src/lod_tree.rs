@@ -423,7 +423,8 @@ impl LodTreeBuilder {
             return Err(LodTreeError::Empty);
         }
         self.tree.first_rep.push(self.tree.rep_node.len() as u32);
-        self.tree.errors_fall = self.tree.find_errors_fall();
+        // With directions, what is above may show a side that what is beneath does not.
+        self.tree.errors_fall = !self.any_direction && self.tree.find_errors_fall();
         if !self.any_importance {
             self.tree.importance = Vec::new();
         }
@@ -559,10 +560,10 @@ impl LodTree {
     fn sum_surfaces(&self, told: &[(u32, [f32; ELEMENTS])]) -> Vec<[f32; ELEMENTS]> {
         let mut sums = vec![[0.0f64; ELEMENTS]; self.nodes()];
         let mut told = told.iter().peekable();
-        for node in 0..self.nodes() {
+        for (node, sum) in sums.iter_mut().enumerate() {
             if self.subtree_end[node] as usize == node + 1 {
                 let faces = faces_of_box(self.area[node]);
-                sums[node] = match told.next_if(|(of, _)| *of as usize == node) {
+                *sum = match told.next_if(|(of, _)| *of as usize == node) {
                     Some((_, shares)) => {
                         let whole: f64 = faces.iter().sum();
                         shares.map(|share| whole * f64::from(share))
@@ -636,8 +637,8 @@ impl LodTree {
         self.rep_direction.get(rep.index()).copied().filter(|&d| d != NO_DIRECTION)
     }
 
-    /// True if no representation has a larger error than one at a node above it: then the nearest node above that shows
-    /// anything shows it best.
+    /// True if no representation has a larger error than one at a node above it, and none shows a direction only: then
+    /// the nearest node above that shows anything shows it best.
     pub fn errors_fall(&self) -> bool {
         self.errors_fall
     }

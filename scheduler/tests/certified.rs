@@ -46,6 +46,8 @@ fn full() -> bool {
 }
 
 /// About `leaves` boxes on a square of 300 m, in nodes of 2 to 40 children, some levels a node, some needing others.
+///
+/// In one of three, most representations show one direction only, several to a node.
 fn world(random: &mut Random, leaves: usize) -> LodTree {
     fn node(
         b: &mut LodTreeBuilder,
@@ -54,9 +56,10 @@ fn world(random: &mut Random, leaves: usize) -> LodTree {
         corner: DVec3,
         side: f64,
         above: Option<RepId>,
+        directions: bool,
     ) {
         b.open().expect("nested");
-        let count = if leaves <= 1 { 1 + random.below(3) } else { random.below(3) };
+        let count = if leaves <= 1 { 1 + random.below(3) } else { random.below(3) } * if directions { 2 } else { 1 };
         let mut before = above.filter(|_| random.below(8) == 0);
         for level in 0..count {
             let wire_bytes = 500 + random.below(60_000) as u32;
@@ -66,12 +69,16 @@ fn world(random: &mut Random, leaves: usize) -> LodTree {
                 decoded_bytes: 3 * wire_bytes,
                 error: error as f32,
                 prerequisite: before.filter(|_| random.below(2) == 0),
-                direction: None,
+                direction: [14, 22, 4, 16, 10, 26, 20, 8].get(random.below(10)).filter(|_| directions).copied(),
             };
             before = Some(b.add(rep).expect("in order"));
         }
         if leaves <= 1 {
             let half = DVec3::new(0.4 * side, 1.0 + 10.0 * random.unit(), 0.4 * side);
+            if directions && random.below(4) > 0 {
+                let shares = core::array::from_fn(|_| [0.0, 1.0, 0.0][random.below(3)] + 0.01 * random.unit() as f32);
+                b.surface(shares).expect("shares are positive");
+            }
             let min = corner + DVec3::new(0.1 * side, 0.0, 0.1 * side);
             return b.close(Some(Aabb { min, max: min + 2.0 * half }), 1.0).expect("a box");
         }
@@ -81,12 +88,13 @@ fn world(random: &mut Random, leaves: usize) -> LodTree {
         for i in 0..children {
             let place = DVec3::new((i as f64 % across).floor(), 0.0, (i as f64 / across).floor());
             let share = leaves / children + usize::from(i < leaves % children);
-            node(b, random, share, corner + place * (side / across), side / across, before);
+            node(b, random, share, corner + place * (side / across), side / across, before, directions);
         }
         b.close(None, 1.0).expect("children have boxes");
     }
     let mut builder = LodTreeBuilder::default();
-    node(&mut builder, random, leaves, DVec3::new(-150.0, 0.0, -150.0), 300.0, None);
+    let directions = random.below(3) == 0;
+    node(&mut builder, random, leaves, DVec3::new(-150.0, 0.0, -150.0), 300.0, None, directions);
     builder.finish().expect("a tree")
 }
 

@@ -83,9 +83,11 @@ pub enum CompareError {
         /// Wire and decoded bytes of the smallest closure.
         smallest: u64,
     },
-    /// A world of orthoviews.
-    #[error("the world has representations that show one direction only; their coverage is not scheduled yet")]
-    Directions,
+    /// A rival in a world of orthoviews.
+    #[error(
+        "the world has representations that show one direction only, which policy {0} does not tell apart; expected foresight and what follows its objective, or lookahead"
+    )]
+    Directions(String),
     /// A replay failed.
     #[error("policy {policy}, start at {start_s} s: {source}")]
     Replay {
@@ -116,8 +118,8 @@ pub fn compare(
     inputs: Inputs,
     progress: impl Fn(usize, usize) + Sync,
 ) -> Result<Comparison, CompareError> {
-    if plan.tree.has_directions() {
-        return Err(CompareError::Directions);
+    if let Some(blind) = plan.policies.iter().find(|p| plan.tree.has_directions() && !p.tells_directions()) {
+        return Err(CompareError::Directions(blind.label.clone()));
     }
     let cuts = plan.flight.cuts(plan.tree, &plan.judging);
     let needs = Needs::new(plan.tree, &cuts);

@@ -1,13 +1,22 @@
 //! Whether a comparison can mean anything: what the path needs against what link and memory give.
 
 use foresight_scheduler::benefit::accuracy::{HALF_ACCURACY_PX, RIVALS_TARGET_PX};
-use foresight_scheduler::benefit::cut::Cut;
+use foresight_scheduler::benefit::cut::{Cut, Patch};
+use foresight_scheduler::benefit::element::{ELEMENTS, errors};
 use foresight_scheduler::lod_tree::{LodTree, NodeId, RepId};
 use std::collections::VecDeque;
 
 /// Calls `need` with every representation of the coarsest set that shows each leaf of the cut at no more than 16 px of
 /// error, prerequisites included; where nothing is good enough, with the best there is. May repeat itself.
+///
+/// In a world with directions that is so for every element of a leaf's surface that faces the eye: each is taken from the
+/// topmost node that shows it well enough, and of a node's own representations the cheapest that show its elements, by
+/// greedy cover (the most elements a byte first), are needed.
 pub fn for_each_needed(tree: &LodTree, cut: &Cut, mut need: impl FnMut(RepId)) {
+    if tree.has_directions() {
+        let mut need = |rep: RepId| core::iter::successors(Some(rep), |&r| tree.prerequisite(r)).for_each(&mut need);
+        return cut.patches.iter().for_each(|patch| for_each_element_needed(tree, cut, patch, &mut need));
+    }
     let mut closure = |rep: RepId| {
         for r in core::iter::successors(Some(rep), |&r| tree.prerequisite(r)) {
             need(r);
@@ -47,6 +56,71 @@ pub fn for_each_needed(tree: &LodTree, cut: &Cut, mut need: impl FnMut(RepId)) {
             }
         }
         debug_assert!(served, "a patch has leaves");
+    }
+}
+
+/// A set of elements, a bit each.
+type Mask = u16;
+
+fn elements(is_in: impl Fn(usize) -> bool) -> Mask {
+    (0..ELEMENTS).filter(|&s| is_in(s)).fold(0, |mask, s| mask | 1 << s)
+}
+
+/// What a patch needs, element by element.
+fn for_each_element_needed(tree: &LodTree, cut: &Cut, patch: &Patch, need: &mut impl FnMut(RepId)) {
+    let limit = RIVALS_TARGET_PX / HALF_ACCURACY_PX / patch.sharpness.sqrt();
+    let shares = cut.shares(tree, patch.node);
+    let mut missing = elements(|s| shares[s] > 0.0);
+    let chain: Vec<NodeId> = tree.ancestors(patch.node).collect();
+    for &node in chain.iter().rev() {
+        missing = cover(tree, node, limit, missing, need);
+    }
+    let mut open = vec![(patch.node, missing)];
+    while let Some((node, missing)) = open.pop() {
+        if missing == 0 {
+            continue;
+        }
+        if tree.is_leaf(node) {
+            best_of_all(tree, node, missing, need);
+            continue;
+        }
+        for child in tree.children(node) {
+            let surface = tree.surface(child);
+            let left = cover(tree, child, limit, missing & elements(|s| surface[s] > 0.0), need);
+            open.push((child, left));
+        }
+    }
+}
+
+/// Needs those of a node's own that show what they can of `missing` within `limit` metres; returns what is left.
+fn cover(tree: &LodTree, node: NodeId, limit: f64, mut missing: Mask, need: &mut impl FnMut(RepId)) -> Mask {
+    if missing == 0 {
+        return 0;
+    }
+    let shown: Vec<(RepId, Mask)> = tree
+        .own(node)
+        .map(|rep| (rep, errors(tree, rep)))
+        .map(|(rep, errors)| (rep, elements(|s| f64::from(errors[s]) <= limit)))
+        .collect();
+    let per_byte = |(rep, mask): &(RepId, Mask), missing: Mask| {
+        f64::from((mask & missing).count_ones()) / tree.wire_bytes(*rep) as f64
+    };
+    loop {
+        let useful = shown.iter().filter(|(_, mask)| mask & missing != 0);
+        let best = useful.max_by(|a, b| per_byte(a, missing).total_cmp(&per_byte(b, missing)).then(b.0.cmp(&a.0)));
+        let Some(&(rep, mask)) = best else { return missing };
+        need(rep);
+        missing &= !mask;
+    }
+}
+
+/// Needs the best that there is for each missing element of a leaf.
+fn best_of_all(tree: &LodTree, leaf: NodeId, missing: Mask, need: &mut impl FnMut(RepId)) {
+    for s in (0..ELEMENTS).filter(|s| missing >> s & 1 != 0) {
+        let all = tree.ancestors(leaf).flat_map(|n| tree.own(n)).map(|rep| (errors(tree, rep)[s], rep));
+        let best =
+            all.filter(|(error, _)| *error < f32::INFINITY).min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        best.into_iter().for_each(|(_, rep)| need(rep));
     }
 }
 

@@ -401,7 +401,7 @@ impl Replay<'_> {
         let quality = evaluate(tree, cut, resident, |part| {
             if let Some(owner) = part.owner {
                 for rep in tree.own(owner) {
-                    if resident.contains(rep) && tree.error(rep) as f32 == part.error {
+                    if resident.contains(rep) && part.is_by(tree, rep) {
                         was_best[rep.index()] = true;
                     }
                 }

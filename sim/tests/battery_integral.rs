@@ -2,8 +2,9 @@
 //! stiff and extreme ones.
 
 use foresight_scheduler::benefit::cut::CutSettings;
+use foresight_scheduler::benefit::element::ELEMENTS;
 use foresight_scheduler::estimate::{Certified, Outcome};
-use foresight_scheduler::integral::{AddedBenefit, Leg, Method, Target, integrate};
+use foresight_scheduler::integral::{AddedBenefit, Facet, Form, IntegralError, Leg, Method, Target, integrate};
 use foresight_scheduler::view::View;
 use foresight_sim::accuracy::reference::reference;
 use glam::{DQuat, DVec3};
@@ -83,6 +84,53 @@ fn bounds_hold_over_ten_thousand_random_candidates() {
         let (tolerance, evaluations_max) = if i % 2 == 0 { (1e-3, 300) } else { (1e-6, 2000) };
         let certified = enclosed(&benefit, tolerance, evaluations_max);
         holds(&benefit, &certified).unwrap_or_else(|error| panic!("{i}: {error}"));
+    }
+}
+
+/// The same with one element of a surface in mind.
+fn candidate_by_element(random: &mut SplitMix64) -> AddedBenefit {
+    let benefit = candidate(random);
+    let mut surface = [0.0f32; ELEMENTS];
+    for _ in 0..1 + (random.unit() * 5.0) as usize {
+        surface[(random.unit() * ELEMENTS as f64) as usize % ELEMENTS] += random.unit() as f32;
+    }
+    let some = surface.iter().position(|area| *area > 0.0).unwrap_or(0);
+    AddedBenefit { target: benefit.target.with_facet(Facet { surface, element: some as u8 }).unwrap(), ..benefit }
+}
+
+#[test]
+fn bounds_hold_and_methods_agree_by_element() {
+    let mut random = SplitMix64(13);
+    let split = Method::GaussLegendre { nodes: 8, panels: 4, split: true };
+    let (mut errors, mut seen, mut shared) = (Vec::new(), 0, 0);
+    for i in 0..3000 {
+        let benefit = candidate_by_element(&mut random);
+        let certified = enclosed(&benefit, if i % 2 == 0 { 1e-3 } else { 1e-6 }, 2000);
+        holds(&benefit, &certified).unwrap_or_else(|error| panic!("{i}: {error}"));
+        let no_closed_form = integrate(&benefit, &Method::ClosedForm);
+        assert!(matches!(no_closed_form, Err(IntegralError::NoClosedForm(_))), "{no_closed_form:?}");
+        let truth = reference(&benefit).unwrap().value;
+        let whole = AddedBenefit { target: whole(&benefit.target), ..benefit };
+        let of_whole = reference(&whole).unwrap().value;
+        assert!(truth <= of_whole * (1.0 + 1e-9), "{truth} of {of_whole}");
+        seen += usize::from(truth > 0.0);
+        shared += usize::from(truth > 0.01 * of_whole && truth < 0.99 * of_whole);
+        if truth > 0.0 {
+            for method in [Method::Sampled, split] {
+                errors.push((integrate(&benefit, &method).unwrap().value() - truth).abs() / of_whole);
+            }
+        }
+    }
+    errors.sort_by(f64::total_cmp);
+    assert!(seen > 800 && shared > 300, "{seen} {shared}");
+    assert!(errors[errors.len() * 99 / 100] <= 1e-3, "{:e}", errors[errors.len() * 99 / 100]);
+}
+
+/// All of its surface.
+fn whole(target: &Target) -> Target {
+    match target.form() {
+        Form::Leaf => Target::leaf(target.centre(), target.half(), target.importance()).unwrap(),
+        _ => Target::group(target.centre(), target.half(), target.face_areas()).unwrap(),
     }
 }
 

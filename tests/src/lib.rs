@@ -1,5 +1,5 @@
 //! What the end-to-end tests share: running the built programs, inputs written by the test itself, recorded data, the
-//! byte-level parsers that the fuzz corpora exercise, a browser, the comparison with real viewers, and the sidecar's programs.
+//! byte-level parsers that the fuzz corpora exercise, a browser, the comparison with real viewers, the sidecar's programs, and what a stored world has to show.
 
 pub mod chromium;
 pub mod delivery;
@@ -10,6 +10,7 @@ pub mod postgres;
 pub mod program;
 pub mod session;
 pub mod sidecar;
+pub mod stored;
 
 use std::path::{Path, PathBuf};
 

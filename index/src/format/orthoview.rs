@@ -56,6 +56,12 @@ pub struct Encoding {
     pub normals: bool,
 }
 
+impl Default for Encoding {
+    fn default() -> Encoding {
+        Encoding { colour: ColourCodec::Jpeg(90), normals: true }
+    }
+}
+
 /// Why a file cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum OrthoviewError {
@@ -93,19 +99,82 @@ pub struct Decoded {
     pub links: Vec<Links>,
 }
 
-/// Part of an image that is occupied; `None` if nothing is.
-fn occupied(view: &Orthoview) -> Option<Rect> {
-    let mut bounds: Option<Rect> = None;
-    for (index, _) in view.pixels.iter().enumerate().filter(|(_, p)| p.is_some()) {
-        let at = view.rect.at(index);
-        let pixel = Rect { min: at, max: at + 1 };
-        bounds = Some(bounds.map_or(pixel, |b| Rect { min: b.min.min(at), max: b.max.max(at + 1) }));
-    }
-    bounds
+/// An image cut to what is occupied, as planes of whole numbers, row by row, upwards.
+///
+/// Where nothing is shown, the link's bit for presence is 0 and the other planes repeat the pixel before, which costs codecs
+/// next to nothing.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Planes {
+    /// Where they lie.
+    pub rect: Rect,
+    /// sRGB, three bytes a pixel.
+    pub colours: Vec<u8>,
+    /// Steps of the cell's depth, 10 bits.
+    pub depths: Vec<u16>,
+    /// [`Links::bits`].
+    pub links: Vec<u8>,
+    /// On the octahedron, two bytes a pixel.
+    pub normals: Vec<u8>,
 }
 
-/// A unit vector on the octahedron, two bytes.
-fn octahedral(normal: [f32; 3]) -> [u8; 2] {
+impl Planes {
+    /// Whether a pixel shows something.
+    pub fn is_shown(&self, index: usize) -> bool {
+        Links::from_bits(self.links[index]).is_present()
+    }
+
+    /// Number of pixels that show something.
+    pub fn shown(&self) -> usize {
+        (0..self.links.len()).filter(|&index| self.is_shown(index)).count()
+    }
+}
+
+/// The planes of an image; `None` if nothing is in it.
+pub fn planes(view: &Orthoview, links: &[Links]) -> Option<Planes> {
+    let rect = occupied(view)?;
+    let area = rect.area();
+    let mut planes = Planes {
+        rect,
+        colours: Vec::with_capacity(3 * area),
+        depths: Vec::with_capacity(area),
+        links: Vec::with_capacity(area),
+        normals: Vec::with_capacity(2 * area),
+    };
+    let (mut colour, mut depth, mut normal) = ([0u8; 3], 0u16, [128u8; 2]);
+    for y in rect.min.y..rect.max.y {
+        let first = view.rect.index(I64Vec2::new(rect.min.x, y)).unwrap_or_default();
+        for (pixel, link) in view.pixels[first..].iter().zip(&links[first..]).take(rect.width()) {
+            if pixel.is_some() {
+                colour = pixel.colour.map(encoded);
+                depth = steps(pixel.depth, view.range);
+                normal = octahedral(pixel.normal);
+            }
+            planes.colours.extend(colour);
+            planes.depths.push(depth);
+            planes.links.push(link.bits());
+            planes.normals.extend(normal);
+        }
+    }
+    Some(planes)
+}
+
+/// Part of an image that is occupied; `None` if nothing is.
+fn occupied(view: &Orthoview) -> Option<Rect> {
+    let width = view.rect.width().max(1);
+    let mut bounds: Option<[usize; 4]> = None;
+    for (y, row) in view.pixels.chunks(width).enumerate() {
+        let Some(first) = row.iter().position(Pixel::is_some) else { continue };
+        let last = row.iter().rposition(Pixel::is_some).unwrap_or(first);
+        let [x0, x1, y0, _] = bounds.unwrap_or([first, last, y, y]);
+        bounds = Some([x0.min(first), x1.max(last), y0, y]);
+    }
+    let [x0, x1, y0, y1] = bounds?;
+    let at = |x: usize, y: usize| view.rect.min + I64Vec2::new(x as i64, y as i64);
+    Some(Rect { min: at(x0, y0), max: at(x1 + 1, y1 + 1) })
+}
+
+/// A unit vector on the octahedron, two bytes; the middle for what is none.
+pub fn octahedral(normal: [f32; 3]) -> [u8; 2] {
     let [x, y, z] = normal;
     let sum = x.abs() + y.abs() + z.abs();
     if sum.is_nan() || sum <= 0.0 {
@@ -118,7 +187,8 @@ fn octahedral(normal: [f32; 3]) -> [u8; 2] {
     [byte(x), byte(y)]
 }
 
-fn from_octahedral([x, y]: [u8; 2]) -> [f32; 3] {
+/// The unit vector of two bytes on the octahedron.
+pub fn from_octahedral([x, y]: [u8; 2]) -> [f32; 3] {
     let value = |v: u8| ((f32::from(v) - 128.0) / 127.0).max(-1.0);
     let (x, y) = (value(x), value(y));
     let z = 1.0 - x.abs() - y.abs();
@@ -149,28 +219,16 @@ pub fn encode(
     direction: Direction,
     encoding: Encoding,
 ) -> Result<Option<Vec<u8>>, OrthoviewError> {
-    let Some(rect) = occupied(view) else { return Ok(None) };
+    let Some(planes) = planes(view, links) else { return Ok(None) };
+    let rect = planes.rect;
     let (width, height) = (rect.width(), rect.height());
     if width > SIDE_MAX || height > SIDE_MAX {
         return Err(OrthoviewError::Size(width, height));
     }
-    let (mut colours, mut depths, mut bits, mut normals) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    let (mut colour, mut depth, mut normal) = ([0u8; 3], 0u16, [128u8; 2]);
-    for index in 0..rect.area() {
-        let place = view.rect.index(rect.at(index));
-        let (pixel, link) = place.map_or((Pixel::EMPTY, Links::default()), |i| (view.pixels[i], links[i]));
-        if pixel.is_some() {
-            colour = pixel.colour.map(encoded);
-            depth = steps(pixel.depth, view.range);
-            normal = octahedral(pixel.normal);
-        }
-        colours.extend(colour);
-        // The encoder takes 16-bit samples in the machine's order.
-        depths.extend(depth.to_ne_bytes());
-        bits.push(link.bits());
-        normals.extend(normal);
-    }
     let size = (width as u32, height as u32);
+    let Planes { colours, depths, links: bits, normals, .. } = planes;
+    // The encoder takes 16-bit samples in the machine's order.
+    let depths: Vec<u8> = depths.into_iter().flat_map(u16::to_ne_bytes).collect();
     let grey = |data: &[u8], kind| png(data, size, kind, "links or depths");
     let colour_file = match encoding.colour {
         ColourCodec::Png => png(&colours, size, ExtendedColorType::Rgb8, "colours")?,

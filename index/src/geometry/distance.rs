@@ -27,9 +27,9 @@ const EXTRA_PIECES: usize = 20_000;
 const EXTRA_PIECES_EACH: usize = 4;
 /// Triangles that are looked at first, for a distance that settles others.
 const FIRST: usize = 512;
-/// Nodes that a search visits at most, and all together on average.
-const VISITS: u64 = 4096;
-const VISITS_MEAN: u64 = 128;
+/// Nodes that a search visits at most, and all together for each triangle of either surface.
+const VISITS: u64 = 1024;
+const VISITS_EACH: u64 = 128;
 
 /// A distance that is known to lie in an interval, metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -111,7 +111,7 @@ impl Way<'_> {
             settled: 0.0,
             hint: 0,
             extra,
-            visits: VISITS_MEAN * (parts + extra) as u64,
+            visits: VISITS_EACH * (parts + other.len()) as u64 + VISITS * FIRST as u64,
         }
     }
 

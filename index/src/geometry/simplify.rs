@@ -15,7 +15,7 @@ const TEXTURE_WEIGHT: f32 = 0.5;
 const TINT_ALLOWED: f32 = 0.25;
 /// Σ of the squares of the vertices' valences above which vertices are clustered instead: collapsing takes time
 /// proportional to it.
-const VALENCES_MAX: u64 = 1 << 31;
+const VALENCES_MAX: u64 = 1 << 28;
 
 /// A mesh, and the error that the library claims for it against what it was made of, metres.
 pub(super) struct Simplified {

@@ -2,6 +2,7 @@
 //! within Δz of it. The same rule brings the leaves' doubled resolution down.
 
 use super::image::{Orthoview, Pixel};
+use glam::I64Vec2;
 
 /// Δz in sides of the pixel that is made. A surface seen at 60° from its normal falls by √3 sides over one pixel, so its
 /// four quarters still count as one surface.
@@ -35,13 +36,21 @@ pub fn merge(candidates: [Pixel; 4], delta_z: f32) -> Pixel {
 /// and the child's level; what lies outside of it is left out. Both belong to one lattice.
 pub fn overlay(target: &mut Orthoview, child: &Orthoview) {
     let shift = child.near - target.near;
-    for (index, pixel) in child.pixels.iter().enumerate().filter(|(_, p)| p.is_some()) {
-        let Some(place) = target.rect.index(child.rect.at(index)) else { continue };
-        let depth = (f64::from(pixel.depth) + shift).max(0.0);
-        #[expect(clippy::cast_possible_truncation, reason = "relative to the cell's near end")]
-        let moved = Pixel { depth: depth as f32, ..*pixel };
-        if moved.depth < target.pixels[place].depth {
-            target.pixels[place] = moved;
+    let (min, max) = (child.rect.min.max(target.rect.min), child.rect.max.min(target.rect.max));
+    for y in min.y..max.y {
+        let row = |view: &Orthoview| view.rect.index(I64Vec2::new(min.x, y));
+        let (Some(from), Some(to)) = (row(child), row(target)) else { continue };
+        let width = (max.x - min.x) as usize;
+        for (pixel, place) in child.pixels[from..from + width].iter().zip(&mut target.pixels[to..to + width]) {
+            if !pixel.is_some() {
+                continue;
+            }
+            let depth = (f64::from(pixel.depth) + shift).max(0.0);
+            #[expect(clippy::cast_possible_truncation, reason = "relative to the cell's near end")]
+            let moved = Pixel { depth: depth as f32, ..*pixel };
+            if moved.depth < place.depth {
+                *place = moved;
+            }
         }
     }
 }
@@ -57,9 +66,19 @@ pub fn doubled(parent: &Orthoview) -> Orthoview {
 #[expect(clippy::cast_possible_truncation, reason = "a length in metres, and only a threshold")]
 pub fn halved(double: &Orthoview, parent: &mut Orthoview, side: f64) {
     let delta_z = (DELTA_Z * side) as f32;
+    let width = parent.rect.width();
+    if double.rect == parent.rect.beneath() {
+        for (y, row) in parent.pixels.chunks_exact_mut(width).enumerate() {
+            let (lower, upper) = double.pixels[4 * width * y..][..4 * width].split_at(2 * width);
+            for ((pixel, below), above) in row.iter_mut().zip(lower.chunks_exact(2)).zip(upper.chunks_exact(2)) {
+                *pixel = merge([below[0], below[1], above[0], above[1]], delta_z);
+            }
+        }
+        return;
+    }
     for index in 0..parent.pixels.len() {
         let corner = parent.rect.at(index) * 2;
-        let candidates = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(x, y)| double.get(corner + glam::I64Vec2::new(x, y)));
+        let candidates = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(x, y)| double.get(corner + I64Vec2::new(x, y)));
         parent.pixels[index] = merge(candidates, delta_z);
     }
 }

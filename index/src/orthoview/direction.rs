@@ -76,6 +76,19 @@ pub fn nine() -> [Direction; 9] {
         .map(|signs| Direction::from_signs(signs).expect("canonical"))
 }
 
+/// [`nine`] for a world whose up is nearest to another axis: its own axes take the places of x, y and z in turn.
+pub fn nine_about(up: DVec3) -> [Direction; 9] {
+    let size = up.abs();
+    let axis = if size.z >= size.x && size.z >= size.y { 2 } else { usize::from(size.y >= size.x) };
+    let sign = if up[axis] < 0.0 { -1 } else { 1 };
+    nine().map(|direction| {
+        let [x, y, z] = direction.signs();
+        let mut signs = [0; 3];
+        (signs[axis], signs[(axis + 1) % 3], signs[(axis + 2) % 3]) = (sign * z, x, y);
+        Direction::from_signs(signs).expect("canonical")
+    })
+}
+
 /// How surfaces are spread over orientations: area by unit normal.
 pub type Orientations<'a> = &'a [(DVec3, f64)];
 
@@ -191,6 +204,17 @@ mod tests {
         let faces: Vec<_> = Direction::all().filter(|d| d.signs().iter().filter(|s| **s != 0).count() == 1).collect();
         let all = sphere(40_000, |_| true);
         assert!((sight(&faces, &all, 1.0).largest_angle.to_degrees() - 54.7).abs() < 0.5);
+    }
+
+    #[test]
+    fn the_nine_follow_the_worlds_up() {
+        assert_eq!(nine_about(DVec3::Z), nine());
+        for up in [DVec3::X, DVec3::NEG_Y, DVec3::new(0.1, 0.2, -0.9)] {
+            let turned = nine_about(up);
+            let away = turned.iter().filter(|d| d.towards_eye().dot(up) < -0.2).count();
+            assert!(away == 0 && turned.iter().all(|d| turned.iter().filter(|e| *e == d).count() == 1), "{up}");
+            assert!(turned[0].towards_eye().dot(up) > 0.9 * up.length());
+        }
     }
 
     #[test]

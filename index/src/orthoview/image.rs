@@ -64,20 +64,46 @@ impl Rect {
     }
 }
 
+/// A lattice with its axes worked out, for many points.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Frame {
+    right: DVec3,
+    up: DVec3,
+    towards_eye: DVec3,
+    origin: DVec3,
+    pitch: f64,
+}
+
+impl Frame {
+    /// As [`Lattice::project`].
+    pub fn project(&self, point: DVec3) -> DVec3 {
+        let from = point - self.origin;
+        DVec3::new(from.dot(self.right) / self.pitch, from.dot(self.up) / self.pitch, -from.dot(self.towards_eye))
+    }
+
+    /// As [`Lattice::unproject`].
+    pub fn unproject(&self, at: DVec3) -> DVec3 {
+        let (x, y) = (at.x * self.pitch, at.y * self.pitch);
+        self.origin + self.right * x + self.up * y - self.towards_eye * at.z
+    }
+}
+
 impl Lattice {
+    /// Its axes, worked out once.
+    pub fn frame(&self) -> Frame {
+        let [right, up] = self.direction.image_axes();
+        Frame { right, up, towards_eye: self.direction.towards_eye(), origin: self.origin, pitch: self.pitch }
+    }
+
     /// Image coordinates in pixels of `pitch`, and the depth: metres along the view from the plane through the origin,
     /// growing away from the eye.
     pub fn project(&self, point: DVec3) -> DVec3 {
-        let [right, up] = self.direction.image_axes();
-        let from = point - self.origin;
-        DVec3::new(from.dot(right) / self.pitch, from.dot(up) / self.pitch, -from.dot(self.direction.towards_eye()))
+        self.frame().project(point)
     }
 
     /// The point at image coordinates and a depth, as [`Lattice::project`] gives them.
     pub fn unproject(&self, at: DVec3) -> DVec3 {
-        let [right, up] = self.direction.image_axes();
-        let (x, y) = (at.x * self.pitch, at.y * self.pitch);
-        self.origin + right * x + up * y - self.direction.towards_eye() * at.z
+        self.frame().unproject(at)
     }
 
     /// The pixels of a level that a box can touch, and the range of its depths, metres. Rows grow upwards.

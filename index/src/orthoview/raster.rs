@@ -1,8 +1,9 @@
-//! Triangles into a cell's image, on the CPU, in f64: the same pixels on every machine.
+//! Triangles into a cell's image, on the CPU: the same pixels on every machine. Coverage is reckoned in whole numbers, row by
+//! row; depths and texture coordinates in f64.
 
-use super::image::{Lattice, Orthoview, Pixel};
+use super::composite;
+use super::image::{Frame, Lattice, Orthoview, Pixel};
 use super::texture::linear;
-use super::{composite, image::Rect};
 use crate::octree::{Cell, Octree};
 use foresight_scheduler::lod_tree::Aabb;
 use glam::{DVec2, DVec3, I64Vec2};
@@ -64,7 +65,7 @@ pub struct Drawn {
     pub triangles: u64,
     /// Samples that were written, hidden ones included.
     pub samples: u64,
-    /// Triangles left out because a corner is not finite.
+    /// Triangles left out because a corner is not finite, or 2⁴⁶ pixels away.
     pub not_finite: u64,
     /// Triangles left out because they are lines or points from here.
     pub degenerate: u64,
@@ -80,8 +81,9 @@ impl Drawn {
     }
 }
 
-/// A leaf's image: its content drawn with twice the resolution and brought down. Only what is inside the leaf is drawn, so
-/// that neighbours share nothing. `None` where nothing is.
+/// A cell's image, drawn from its content with twice the resolution and brought down. Only what is inside the cell is drawn,
+/// so that neighbours share nothing. `None` where nothing is. Leaves are made this way; of other cells it is what a
+/// composited image stands for.
 pub fn leaf<'t>(
     octree: &Octree,
     cell: Cell,
@@ -92,12 +94,7 @@ pub fn leaf<'t>(
     let mut view = Orthoview::empty(lattice, &octree.bounds(cell), cell.level);
     let mut double = composite::doubled(&view);
     let side = lattice.pitch * (1u64 << cell.level) as f64;
-    let holds = octree.holds(cell, 1e-6 * side);
-    for (triangles, surface) in meshes {
-        for triangle in triangles {
-            draw(&holds, lattice, 0.5 * side, triangle, surface, &mut double, drawn);
-        }
-    }
+    draw(octree, cell, lattice, 0.5 * side, meshes, &mut double, drawn);
     if double.is_empty() {
         return None;
     }
@@ -105,97 +102,303 @@ pub fn leaf<'t>(
     Some(view)
 }
 
-/// Draws what `holds` holds of one triangle into pixels of `side` metres.
-#[expect(clippy::cast_possible_truncation, reason = "clamped to the image, or relative to the cell")]
-fn draw(
-    holds: &Aabb,
+/// Draws what a cell holds over an image whose pixels are `side` metres wide: a sample in the middle of each pixel, the
+/// nearest stays.
+pub fn draw<'t>(
+    octree: &Octree,
+    cell: Cell,
     lattice: &Lattice,
     side: f64,
-    triangle: &Triangle,
-    surface: &dyn Surface,
+    meshes: impl IntoIterator<Item = (&'t [Triangle], &'t dyn Surface)>,
     target: &mut Orthoview,
     drawn: &mut Drawn,
 ) {
-    drawn.triangles += 1;
-    if !triangle.corners.iter().all(|c| c.is_finite()) {
-        drawn.not_finite += 1;
-        return;
-    }
-    // In pixels of the target, from its first; so the numbers stay small far from the origin.
-    let to_pixels = lattice.pitch / side;
-    let base = target.rect.min.as_dvec2();
-    let corners = triangle.corners.map(|corner| {
-        let at = lattice.project(corner);
-        DVec3::new(at.x * to_pixels - base.x, at.y * to_pixels - base.y, at.z - target.near)
-    });
-    let [a, b, c] = corners;
-    let area = (b - a).truncate().perp_dot((c - a).truncate());
-    if area.abs() < 1e-12 || !area.is_finite() {
-        drawn.degenerate += 1;
-        return;
-    }
-    if area < 0.0 && !triangle.two_sided {
-        return;
-    }
-    let normal = {
-        let n = (triangle.corners[1] - triangle.corners[0]).cross(triangle.corners[2] - triangle.corners[0]);
-        let n = if area < 0.0 { -n } else { n };
-        n.normalize_or_zero().to_array().map(|v| v as f32)
+    let level_side = lattice.pitch * (1u64 << cell.level) as f64;
+    let mut canvas = Canvas {
+        frame: lattice.frame(),
+        holds: octree.holds(cell, 1e-6 * level_side),
+        to_pixels: lattice.pitch / side,
+        base: target.rect.min.as_dvec2(),
+        size: target.rect.max - target.rect.min,
+        image: target,
     };
-    let [u, v, w] = triangle.uv;
-    let footprint = {
-        let texture = (v - u).perp_dot(w - u).abs();
-        (texture / area.abs()).sqrt()
-    };
-    let tint = (triangle.tint != Triangle::WHITE).then(|| triangle.tint.map(|corner| corner.map(linear)));
-    let size = Rect { min: I64Vec2::ZERO, max: target.rect.max - target.rect.min };
-    let low = a.min(b).min(c);
-    let high = a.max(b).max(c);
-    // Centres of pixels at n + ½.
-    let first = |v: f64, end: i64| (v - 0.5).ceil().clamp(0.0, end as f64) as i64;
-    let (x0, x1) = (first(low.x, size.max.x), first(high.x + 1.0, size.max.x));
-    let (y0, y1) = (first(low.y, size.max.y), first(high.y + 1.0, size.max.y));
-    // Counter-clockwise in the image; a pixel on an edge belongs to the triangle whose edge is a left or top one.
-    let (p, q) = if area > 0.0 { (b, c) } else { (c, b) };
-    let edges = [(a, p), (p, q), (q, a)];
-    let scale = 1.0 / area.abs();
-    for y in y0..y1 {
-        for x in x0..x1 {
+    for (triangles, surface) in meshes {
+        for triangle in triangles {
+            canvas.draw(triangle, surface, drawn);
+        }
+    }
+}
+
+/// Steps of a pixel that corners are moved to: from there on coverage is exact, and triangles that share an edge leave no
+/// gap and cover no sample twice.
+const STEPS: i64 = 1 << 12;
+/// Corners within this many steps of the image's corner are reckoned with in 64 bits, others in 128.
+const NEAR: f64 = (1u64 << 29) as f64;
+/// Corners beyond this many steps are not drawn.
+const FAR: f64 = (1u64 << 58) as f64;
+
+/// An image that is drawn on.
+struct Canvas<'a> {
+    frame: Frame,
+    holds: Aabb,
+    /// Pixels per pixel of the lattice.
+    to_pixels: f64,
+    base: DVec2,
+    size: I64Vec2,
+    image: &'a mut Orthoview,
+}
+
+/// A corner in the image: steps along x and y.
+type Corner<N> = [N; 2];
+
+impl Canvas<'_> {
+    fn draw(&mut self, triangle: &Triangle, surface: &dyn Surface, drawn: &mut Drawn) {
+        drawn.triangles += 1;
+        let [a, b, c] = triangle.corners;
+        if !(a.is_finite() && b.is_finite() && c.is_finite()) {
+            drawn.not_finite += 1;
+            return;
+        }
+        let (low, high) = (a.min(b).min(c), a.max(b).max(c));
+        if low.cmpgt(self.holds.max).any() || high.cmplt(self.holds.min).any() {
+            return;
+        }
+        // In pixels of the target, from its first; so the numbers stay small far from the origin.
+        let corners = triangle.corners.map(|corner| {
+            let at = self.frame.project(corner);
+            (at.truncate() * self.to_pixels - self.base).extend(at.z - self.image.near)
+        });
+        let steps = corners.map(|c| (c.truncate() * STEPS as f64).round());
+        let most = steps.iter().map(|c| c.abs().max_element()).fold(0.0, f64::max);
+        if most < NEAR {
+            self.cover::<i64>(triangle, surface, corners, steps, drawn);
+        } else if most < FAR {
+            self.cover::<i128>(triangle, surface, corners, steps, drawn);
+        } else {
+            drawn.not_finite += 1;
+        }
+    }
+
+    /// Draws the samples of a triangle: `corners` in pixels and with their depths, `steps` in whole steps. Reckons in `N`.
+    #[expect(clippy::cast_possible_truncation, reason = "whole steps within FAR")]
+    fn cover<N: Whole>(
+        &mut self,
+        triangle: &Triangle,
+        surface: &dyn Surface,
+        corners: [DVec3; 3],
+        steps: [DVec2; 3],
+        drawn: &mut Drawn,
+    ) {
+        let whole = |at: DVec2| [N::from(at.x as i64), N::from(at.y as i64)];
+        let [a, b, c] = steps.map(whole);
+        let area = cross(a, b, c);
+        let zero = N::from(0);
+        if area == zero {
+            drawn.degenerate += 1;
+            return;
+        }
+        let turned = area < zero;
+        if turned && !triangle.two_sided {
+            return;
+        }
+        // Pixels whose middle, at n + ½, can be inside.
+        let half = STEPS / 2;
+        let pixels = |of: fn(DVec2) -> f64, end: i64| {
+            let [a, b, c] = steps.map(of);
+            let (low, high) = (a.min(b).min(c) as i64, a.max(b).max(c) as i64);
+            let first = (low - half + STEPS - 1).div_euclid(STEPS);
+            [first.clamp(0, end), ((high - half).div_euclid(STEPS) + 1).clamp(0, end)]
+        };
+        let ([x0, x1], [y0, y1]) = (pixels(|c| c.x, self.size.x), pixels(|c| c.y, self.size.y));
+        if x0 >= x1 || y0 >= y1 {
+            return;
+        }
+        // Counter-clockwise in the image.
+        let (p, q) = if turned { (c, b) } else { (b, c) };
+        let edges = [Edge::new(a, p), Edge::new(p, q), Edge::new(q, a)];
+        let mut shade: Option<Shade> = None;
+        for y in y0..y1 {
+            let (mut from, mut to) = (x0, x1);
+            for edge in &edges {
+                edge.narrow(y, &mut from, &mut to);
+            }
+            if from < to {
+                let shade = shade.get_or_insert_with(|| Shade::new(triangle, corners, steps, turned, &self.holds));
+                self.span(y, [from, to], triangle.material, shade, surface, drawn);
+            }
+        }
+    }
+
+    /// Draws the pixels from..to of a row.
+    #[expect(clippy::cast_possible_truncation, reason = "relative to the cell")]
+    fn span(
+        &mut self,
+        y: i64,
+        [from, to]: [i64; 2],
+        material: u32,
+        shade: &Shade,
+        surface: &dyn Surface,
+        drawn: &mut Drawn,
+    ) {
+        let row = (y * self.size.x) as usize;
+        let near = self.image.near;
+        for x in from..to {
+            let pixel = &mut self.image.pixels[row + x as usize];
             let at = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
-            let mut shares = [0.0; 3];
-            let mut inside = true;
-            for (i, (from, to)) in edges.into_iter().enumerate() {
-                let along = (to - from).truncate();
-                let across = along.perp_dot(at - from.truncate());
-                let owns_edge = along.y < 0.0 || (along.y == 0.0 && along.x < 0.0);
-                inside &= across > 0.0 || (across == 0.0 && owns_edge);
-                shares[(i + 2) % 3] = across * scale;
-            }
-            if !inside {
+            let depth = shade.depth.at(at).clamp(shade.depths[0], shade.depths[1]);
+            if depth as f32 >= pixel.depth {
                 continue;
             }
-            let depth = shares[0] * a.z + shares[1] * p.z + shares[2] * q.z;
-            let index = y as usize * size.width() + x as usize;
-            if depth.is_nan() || depth as f32 >= target.pixels[index].depth {
-                continue;
+            if !shade.is_within {
+                let point = self.frame.unproject(((at + self.base) / self.to_pixels).extend(depth + near));
+                if !(point.cmpge(self.holds.min).all() && point.cmple(self.holds.max).all()) {
+                    continue;
+                }
             }
-            let image = (at + base) / to_pixels;
-            let point = lattice.unproject(image.extend(depth + target.near));
-            if !(point.cmpge(holds.min).all() && point.cmple(holds.max).all()) {
-                continue;
-            }
-            // The shares belong to a, p and q.
-            let [_, second, third] = if area > 0.0 { shares } else { [shares[0], shares[2], shares[1]] };
-            let uv = u * shares[0] + v * second + w * third;
-            let Some(mut colour) = surface.colour(triangle.material, uv, footprint) else { continue };
-            if let Some([a, b, c]) = &tint {
-                let shares = [shares[0], second, third].map(|share| share as f32);
+            let uv = DVec2::new(shade.u.at(at), shade.v.at(at));
+            let Some(mut colour) = surface.colour(material, uv, shade.footprint) else { continue };
+            if let Some(tint) = &shade.tint {
                 for (channel, value) in colour.iter_mut().enumerate() {
-                    *value *= shares[0] * a[channel] + shares[1] * b[channel] + shares[2] * c[channel];
+                    *value *= tint[channel].at(at).clamp(0.0, 1.0) as f32;
                 }
             }
             drawn.samples += 1;
-            target.pixels[index] = Pixel { depth: depth as f32, colour, normal };
+            *pixel = Pixel { depth: depth as f32, colour, normal: shade.normal };
+        }
+    }
+}
+
+/// Numbers that coverage is reckoned with.
+trait Whole:
+    Copy
+    + Ord
+    + From<i64>
+    + TryInto<i64>
+    + std::ops::Add<Output = Self>
+    + std::ops::Sub<Output = Self>
+    + std::ops::Mul<Output = Self>
+    + std::ops::Div<Output = Self>
+{
+    /// Rounded down; `by` is positive.
+    fn divided_down(self, by: Self) -> Self {
+        let quotient = self / by;
+        if quotient * by > self { quotient - Self::from(1) } else { quotient }
+    }
+}
+impl Whole for i64 {}
+impl Whole for i128 {}
+
+/// Twice the area of a triangle, positive if counter-clockwise.
+fn cross<N: Whole>(a: Corner<N>, b: Corner<N>, c: Corner<N>) -> N {
+    (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+}
+
+/// An edge with the inside to its left: inside is where e + s·x ≥ 0 for the pixel x of a row.
+struct Edge<N> {
+    /// Along the edge.
+    along: Corner<N>,
+    from: Corner<N>,
+    /// What a sample on the edge is short of being inside: a pixel on an edge belongs to the triangle whose edge goes down,
+    /// or to the left if it is level.
+    bias: N,
+}
+
+impl<N: Whole> Edge<N> {
+    fn new(from: Corner<N>, to: Corner<N>) -> Edge<N> {
+        let along = [to[0] - from[0], to[1] - from[1]];
+        let zero = N::from(0);
+        let owns = along[1] < zero || (along[1] == zero && along[0] < zero);
+        Edge { along, from, bias: N::from(i64::from(!owns)) }
+    }
+
+    /// Narrows a row's pixels to those inside.
+    fn narrow(&self, y: i64, from: &mut i64, to: &mut i64) {
+        let (zero, half) = (N::from(0), N::from(STEPS / 2));
+        let up = N::from(y) * N::from(STEPS) + half - self.from[1];
+        let e = self.along[0] * up - self.along[1] * (half - self.from[0]) - self.bias;
+        let within = |x: N, to: i64| x.clamp(N::from(0), N::from(to)).try_into().unwrap_or(to);
+        let falls = self.along[1] * N::from(STEPS);
+        if falls == zero {
+            if e < zero {
+                *to = *from;
+            }
+        } else if falls < zero {
+            // Inside from some pixel on: the least x with e ≥ falls·x.
+            let rises = zero - falls;
+            let first = zero - e.divided_down(rises);
+            *from = (*from).max(within(first, *to));
+        } else {
+            let last = e.divided_down(falls);
+            *to = (*to).min(within(last + N::from(1), *to));
+        }
+    }
+}
+
+/// A value that is linear over a triangle.
+#[derive(Clone, Copy)]
+struct Plane {
+    at: DVec2,
+    value: f64,
+    slope: DVec2,
+}
+
+impl Plane {
+    fn at(&self, point: DVec2) -> f64 {
+        self.value + self.slope.dot(point - self.at)
+    }
+}
+
+/// What the samples of a triangle have in common.
+struct Shade {
+    depth: Plane,
+    /// Least and largest.
+    depths: [f64; 2],
+    u: Plane,
+    v: Plane,
+    /// Red, green and blue that colours are multiplied with; `None` for white.
+    tint: Option<[Plane; 3]>,
+    /// Side of the square in texture coordinates that a pixel covers.
+    footprint: f64,
+    normal: [f32; 3],
+    /// No part of it is outside of the cell.
+    is_within: bool,
+}
+
+impl Shade {
+    #[expect(clippy::cast_possible_truncation, reason = "a unit vector")]
+    fn new(triangle: &Triangle, corners: [DVec3; 3], steps: [DVec2; 3], turned: bool, holds: &Aabb) -> Shade {
+        let area_of = |[a, b, c]: [DVec2; 3]| (b - a).perp_dot(c - a);
+        // The planes of the corners as they are, unless they are all but in line: then of those that were moved.
+        let (exact, moved) = (corners.map(DVec3::truncate), steps.map(|s| s / STEPS as f64));
+        let keeps = area_of(exact) * area_of(moved) > 0.0 && area_of(exact).abs() > 0.5 * area_of(moved).abs();
+        let [a, b, c] = if keeps { exact } else { moved };
+        let area = area_of([a, b, c]);
+        let plane = |values: [f64; 3]| {
+            let (rb, rc) = (values[1] - values[0], values[2] - values[0]);
+            let slope = DVec2::new(rb * (c.y - a.y) - rc * (b.y - a.y), rc * (b.x - a.x) - rb * (c.x - a.x)) / area;
+            Plane { at: a, value: values[0], slope }
+        };
+        let depths = corners.map(|c| c.z);
+        let [first, second, third] = triangle.corners;
+        let normal = (second - first).cross(third - first);
+        let normal = if turned { -normal } else { normal };
+        let [u, v, w] = triangle.uv;
+        let texture = (v - u).perp_dot(w - u).abs();
+        let (low, high) = (first.min(second).min(third), first.max(second).max(third));
+        Shade {
+            depth: plane(depths),
+            depths: [
+                depths.into_iter().fold(f64::INFINITY, f64::min),
+                depths.into_iter().fold(-f64::INFINITY, f64::max),
+            ],
+            u: plane([u.x, v.x, w.x]),
+            v: plane([u.y, v.y, w.y]),
+            tint: (triangle.tint != Triangle::WHITE).then(|| {
+                [0, 1, 2].map(|channel| plane(triangle.tint.map(|corner| f64::from(linear(corner[channel])))))
+            }),
+            footprint: (texture / area.abs()).sqrt(),
+            normal: normal.normalize_or_zero().to_array().map(|v| v as f32),
+            is_within: low.cmpge(holds.min).all() && high.cmple(holds.max).all(),
         }
     }
 }
@@ -314,6 +517,45 @@ mod tests {
         assert!(view.expect("the large one covers all").pixels.iter().all(Pixel::is_some));
     }
 
+    /// A square of `count` × `count` cells, each of two triangles, its inner corners off the grid.
+    fn ragged(count: usize, side: f64, height: f64, off: impl Fn(usize, usize) -> [f64; 2]) -> Vec<Triangle> {
+        let pitch = side / count as f64;
+        let at = |i: usize, j: usize| {
+            let inner = |k: usize| if k == 0 || k == count { 0.0 } else { 0.2 * pitch };
+            let [x, y] = off(i, j);
+            [i as f64 * pitch + inner(i) * x, j as f64 * pitch + inner(j) * y, height]
+        };
+        (0..count * count)
+            .flat_map(|k| {
+                let (i, j) = (k % count, k / count);
+                let [a, b, c, d] = [at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)];
+                [triangle([a, b, c]), triangle([a, c, d])]
+            })
+            .collect()
+    }
+
+    #[test]
+    fn far_corners_cover_the_same_samples_as_near_ones() {
+        // One half of the plane from a corner a million metres away, in 128 bits, and from one near by, in 64.
+        let octree = octree(8.0, 8.0);
+        let lattice = lattice(nine()[0], 0.25);
+        let drawn_by = |reach: f64| {
+            let at = |t: f64| [4.1 + t, 3.9 + t, 2.0];
+            let slope = [triangle([at(-reach), at(reach), [-reach, reach, 2.0]])];
+            let view = leaf(
+                &octree,
+                octree.root(),
+                &lattice,
+                [(&slope[..], &Plain([1.0; 3]) as &dyn Surface)],
+                &mut Drawn::default(),
+            );
+            view.expect("half of it").pixels.iter().map(Pixel::is_some).collect::<Vec<_>>()
+        };
+        let near = drawn_by(64.0);
+        assert!(near.iter().filter(|some| **some).count() > 400);
+        assert_eq!(near, drawn_by(1e6));
+    }
+
     #[test]
     fn tints_are_interpolated_in_linear_light() {
         let octree = octree(8.0, 8.0);
@@ -359,6 +601,33 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(48))]
         #[test]
+        fn triangles_that_share_edges_leave_no_gap_and_overlap_nowhere(
+            offs in prop::collection::vec(prop::array::uniform2(-1.0..1.0f64), 121), count in 2..10usize, which in 0..26usize,
+        ) {
+            // Seen from above and from the corners; an overlap would be drawn twice if the later triangle were nearer.
+            let direction = Direction::all().nth(which).expect("one of 26");
+            prop_assume!(direction.signs()[2] > 0);
+            let octree = octree(8.0, 8.0);
+            let lattice = lattice(direction, 0.25);
+            let content = ragged(count, 8.0, 4.0, |i, j| offs[i * 11 + j]);
+            let plain = Plain([1.0; 3]);
+            let mut drawn = Drawn::default();
+            let mut ragged = composite::doubled(&Orthoview::empty(&lattice, &octree.bounds(octree.root()), 0));
+            let mut whole = ragged.clone();
+            for (k, t) in content.iter().enumerate() {
+                // Each a little nearer than the one before.
+                let raised = Triangle { corners: t.corners.map(|c| c + direction.towards_eye() * 1e-3 * k as f64), ..*t };
+                draw(&octree, octree.root(), &lattice, 0.125, [(&[raised][..], &plain as &dyn Surface)], &mut ragged, &mut drawn);
+            }
+            let floor = floor(0.0, 0.0, 4.0, 8.0);
+            let mut once = Drawn::default();
+            draw(&octree, octree.root(), &lattice, 0.125, [(&floor[..], &plain as &dyn Surface)], &mut whole, &mut once);
+            let shown = |view: &Orthoview| view.pixels.iter().map(Pixel::is_some).collect::<Vec<_>>();
+            prop_assert_eq!(shown(&ragged), shown(&whole));
+            prop_assert_eq!(drawn.samples, once.samples);
+        }
+
+        #[test]
         fn a_leaf_shows_what_rays_hit(
             corners in prop::collection::vec(prop::array::uniform3(prop::array::uniform3(0.5..7.5f64)), 1..12), which in 0..26usize,
         ) {
@@ -368,9 +637,8 @@ mod tests {
             let triangles: Vec<_> = corners.into_iter().map(|c| Triangle { two_sided: true, ..triangle(c) }).collect();
             let cell = octree.root();
             let mut double = composite::doubled(&Orthoview::empty(&lattice, &octree.bounds(cell), 0));
-            for t in &triangles {
-                draw(&octree.holds(cell, 0.0), &lattice, 0.25, t, &Plain([1.0; 3]), &mut double, &mut Drawn::default());
-            }
+            let plain = Plain([1.0; 3]);
+            draw(&octree, cell, &lattice, 0.25, [(&triangles[..], &plain as &dyn Surface)], &mut double, &mut Drawn::default());
             let mut differing = 0;
             for (index, pixel) in double.pixels.iter().enumerate() {
                 let at = (double.rect.at(index).as_dvec2() + 0.5) * 0.5;

@@ -75,6 +75,11 @@ impl Texture {
         &self.levels[0].2
     }
 
+    /// Bytes of the texels of all mips.
+    pub fn bytes(&self) -> usize {
+        self.levels.iter().map(|level| level.2.len() * 4).sum()
+    }
+
     /// Colour (linear light) and alpha at texture coordinates, averaged over a square of `footprint` of the whole:
     /// bilinear in the mip whose texels are at least that large.
     #[expect(clippy::cast_possible_truncation, reason = "texels of an image, reduced to its size")]
@@ -83,10 +88,12 @@ impl Texture {
             return ([0.0; 3], 1.0);
         }
         let finest = self.levels[0].0.max(self.levels[0].1) as f64;
-        let level =
-            self.levels.len().min(
-                (0..).take_while(|&l| footprint * finest > 1.5 * f64::from(1u32 << l.min(31))).take(32).count() + 1,
-            ) - 1;
+        let (wanted, mut texel, mut level) = (footprint * finest, 1.5, 0);
+        while wanted > texel && level + 1 < self.levels.len() {
+            texel *= 2.0;
+            level += 1;
+        }
+        let lights = linear_lights();
         let (width, height, texels) = &self.levels[level];
         let at = DVec2::new((uv.x - uv.x.floor()) * *width as f64 - 0.5, (uv.y - uv.y.floor()) * *height as f64 - 0.5);
         let (x, y) = (at.x.floor(), at.y.floor());
@@ -97,7 +104,7 @@ impl Texture {
             let texel = texels[wrap(y + f64::from(j), *height) * width + wrap(x + f64::from(i), *width)];
             let weight = (if i == 1 { fx } else { 1.0 - fx }) * (if j == 1 { fy } else { 1.0 - fy });
             for (sum, value) in colour.iter_mut().zip(texel) {
-                *sum += weight * linear(value);
+                *sum += weight * lights[value as usize];
             }
             alpha += weight * f32::from(texel[3]) / 255.0;
         }
@@ -118,6 +125,10 @@ fn average(four: [[u8; 4]; 4]) -> [u8; 4] {
 
 /// Linear light of an sRGB byte (IEC 61966-2-1).
 pub fn linear(byte: u8) -> f32 {
+    linear_lights()[byte as usize]
+}
+
+fn linear_lights() -> &'static [f32; 256] {
     static TABLE: OnceLock<[f32; 256]> = OnceLock::new();
     TABLE.get_or_init(|| {
         std::array::from_fn(|byte| {
@@ -127,15 +138,32 @@ pub fn linear(byte: u8) -> f32 {
             let light = light as f32;
             light
         })
-    })[byte as usize]
+    })
 }
 
-/// The sRGB byte nearest to a linear light.
+/// The sRGB byte nearest to a linear light; 0 for NaN.
 pub fn encoded(light: f32) -> u8 {
-    let v = f64::from(light.clamp(0.0, 1.0));
-    let v = if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * libm::pow(v, 1.0 / 2.4) - 0.055 };
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "0 to 255")]
-    let byte = (v * 255.0).round() as u8;
+    /// Least light of each byte but 0, and for each of 1024 equal parts of 0 to 1 the byte of its lower end.
+    type Table = ([f32; 255], [u8; 1025]);
+    static TABLE: OnceLock<Table> = OnceLock::new();
+    let (least, parts) = TABLE.get_or_init(|| {
+        // Bytes change halfway between them on the encoded scale.
+        let least: [f32; 255] = std::array::from_fn(|below| {
+            let v = (below as f64 + 0.5) / 255.0;
+            let light = if v <= 0.040_45 { v / 12.92 } else { libm::pow((v + 0.055) / 1.055, 2.4) };
+            #[expect(clippy::cast_possible_truncation, reason = "0 to 1")]
+            let light = light as f32;
+            light
+        });
+        let byte = |part: usize| least.partition_point(|l| *l <= part as f32 / 1024.0) as u8;
+        (least, std::array::from_fn(byte))
+    });
+    let light = if light > 0.0 { light.min(1.0) } else { 0.0 };
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "0 to 1024")]
+    let mut byte = parts[(light * 1024.0) as usize];
+    while byte < 255 && least[byte as usize] <= light {
+        byte += 1;
+    }
     byte
 }
 

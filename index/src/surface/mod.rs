@@ -3,8 +3,22 @@
 //! A [`SurfaceSource`] is cut into pieces, each of which fits in memory; [`open`] makes one of whatever is recognised.
 
 pub(crate) mod gltf;
+mod inputs;
+mod lines;
+mod obj;
+pub mod overlap;
+mod ply;
+mod polygon;
 mod source;
+pub mod spool;
 
+pub use gltf::GltfFile;
+#[cfg(feature = "cityjson")]
+pub(crate) use inputs::file_identity;
+#[cfg(feature = "generated")]
+pub(crate) use inputs::parameters_identity;
+pub use obj::ObjFile;
+pub use ply::PlyFile;
 pub use source::{SurfaceError, open};
 
 use std::sync::Arc;
@@ -16,6 +30,36 @@ use crate::import::tiles3d::ContentError;
 use crate::orthoview::raster::Triangle;
 use crate::orthoview::texture::{Material, Materials, Texture};
 use crate::world::Georeference;
+
+/// Most triangles of a piece, where a source is cut: 36 MB of them.
+pub const PIECE_TRIANGLES: usize = 1 << 18;
+
+/// The axis of a file that points away from the ground.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Up {
+    /// x.
+    X,
+    /// y.
+    Y,
+    /// z.
+    #[default]
+    Z,
+}
+
+impl Up {
+    /// Turned so that it is z.
+    fn to_z(self, [x, y, z]: [f64; 3]) -> [f64; 3] {
+        match self {
+            Up::X => [-z, y, x],
+            Up::Y => [x, -z, y],
+            Up::Z => [x, y, z],
+        }
+    }
+
+    fn code(self) -> u8 {
+        b'x' + self as u8
+    }
+}
 
 /// Triangles in world space, ready to be drawn.
 #[derive(Clone, Debug, Default)]
@@ -82,6 +126,14 @@ pub trait SurfaceSource: Send + Sync {
     /// # Errors
     /// A file that cannot be read or holds no surfaces.
     fn read(&self, piece: usize) -> Result<Piece, ContentError>;
+
+    /// Reads the triangles of a piece alone; their materials mean nothing.
+    ///
+    /// # Errors
+    /// As [`SurfaceSource::read`].
+    fn triangles(&self, piece: usize) -> Result<Vec<Triangle>, ContentError> {
+        Ok(self.read(piece)?.triangles)
+    }
 
     /// Reads a piece with its images decoded.
     ///

@@ -1,5 +1,6 @@
 //! Which error each node is shown with: the resident set, folded onto the tree.
 
+use super::element::{self, ELEMENTS, Errors};
 use crate::lod_tree::{LodTree, NodeId, RepId};
 use crate::sparse::{IdMap, RepSet};
 
@@ -22,6 +23,41 @@ struct Part {
     beneath: u32,
 }
 
+/// What shows each element of a surface: the least error and whose it is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Elements {
+    /// Metres; ∞ for what is not shown.
+    pub errors: Errors,
+    reps: [u32; ELEMENTS],
+}
+
+/// No representation has this number.
+const NO_REP: u32 = u32::MAX;
+
+impl Elements {
+    /// Nothing.
+    pub const NOTHING: Elements = Elements { errors: element::NOTHING, reps: [NO_REP; ELEMENTS] };
+
+    /// What shows element `s`.
+    pub fn rep(&self, s: usize) -> Option<RepId> {
+        Some(RepId(self.reps[s])).filter(|rep| rep.0 != NO_REP)
+    }
+
+    /// Takes from `other` what it shows better, or just as well if `ties` says so.
+    fn take(&mut self, other: &Elements, ties: bool) {
+        for s in 0..ELEMENTS {
+            if other.errors[s] < self.errors[s] || ties && other.reps[s] != NO_REP && other.errors[s] <= self.errors[s]
+            {
+                (self.errors[s], self.reps[s]) = (other.errors[s], other.reps[s]);
+            }
+        }
+    }
+
+    fn of(errors: Errors, rep: RepId) -> Elements {
+        Elements { errors, reps: errors.map(|error| if error < f32::INFINITY { rep.0 } else { NO_REP }) }
+    }
+}
+
 /// A sibling group of which something is there.
 #[derive(Clone, Copy, Debug)]
 struct Group {
@@ -41,6 +77,8 @@ pub struct Coverage {
     parts: IdMap<Part>,
     /// Under `Atomic`, by content parent, the groups of which something is there.
     groups: IdMap<Group>,
+    /// Where the world has directions, what the node's own representations that count show.
+    elements: IdMap<Elements>,
 }
 
 /// Stands for the content parent of the topmost group; no node has this number.
@@ -49,7 +87,13 @@ const TOP: u32 = u32::MAX;
 impl Coverage {
     /// The empty set of representations of a tree.
     pub fn new(_tree: &LodTree, refinement: Refinement) -> Coverage {
-        Coverage { refinement, held: RepSet::default(), parts: IdMap::default(), groups: IdMap::default() }
+        Coverage {
+            refinement,
+            held: RepSet::default(),
+            parts: IdMap::default(),
+            groups: IdMap::default(),
+            elements: IdMap::default(),
+        }
     }
 
     /// The refinement given at the start.
@@ -59,7 +103,10 @@ impl Coverage {
 
     /// Bytes that the set occupies.
     pub fn heap_bytes(&self) -> usize {
-        self.held.heap_bytes() + self.parts.allocation_size() + self.groups.allocation_size()
+        self.held.heap_bytes()
+            + self.parts.allocation_size()
+            + self.groups.allocation_size()
+            + self.elements.allocation_size()
     }
 
     /// Whether `rep` is in the set.
@@ -108,6 +155,45 @@ impl Coverage {
         shown
     }
 
+    /// What the node's own representations that count show. Only of a world with directions.
+    pub fn elements_at(&self, node: NodeId) -> Elements {
+        self.elements.get(&node.0).copied().unwrap_or(Elements::NOTHING)
+    }
+
+    /// What shows each element of the node, at it or above it; of equals, the nearest. Only of a world with directions.
+    pub fn elements_above(&self, tree: &LodTree, node: NodeId) -> Elements {
+        let mut shown = Elements::NOTHING;
+        for above in tree.ancestors(node) {
+            if let Some(own) = self.elements.get(&above.0) {
+                shown.take(own, false);
+            }
+        }
+        shown
+    }
+
+    /// What everything but `rep` shows of its node, at it or above it.
+    pub fn elements_without(&self, tree: &LodTree, rep: RepId) -> Elements {
+        let node = tree.node_of(rep);
+        let mut shown = tree.parent(node).map_or(Elements::NOTHING, |parent| self.elements_above(tree, parent));
+        if self.counts(tree, node) {
+            for other in tree.own(node).filter(|&other| other != rep && self.contains(other)) {
+                shown.take(&Elements::of(element::errors(tree, other), other), true);
+            }
+        }
+        shown
+    }
+
+    /// As [`Coverage::sweep`], by element.
+    pub fn sweep_elements<'a>(&'a self, tree: &'a LodTree, top: NodeId) -> Sweep<'a, Elements> {
+        self.sweep_from(tree, top, self.elements_above(tree, top))
+    }
+
+    /// A sweep as if `top` were shown by `shown`, whatever is at it and above it.
+    pub fn sweep_from<'a, S: Shown>(&'a self, tree: &'a LodTree, top: NodeId, shown: S) -> Sweep<'a, S> {
+        let level = Level { node: top, end: tree.subtree_end(top), shown, any_beneath: self.any_beneath(top) };
+        Sweep { coverage: self, tree, levels: vec![level] }
+    }
+
     /// The same as [`Coverage::shown_at`] for many nodes in ascending order, at or beneath `top`.
     pub fn sweep<'a>(&'a self, tree: &'a LodTree, top: NodeId) -> Sweep<'a> {
         self.sweep_beneath(tree, top, self.shown_at(tree, top))
@@ -115,8 +201,7 @@ impl Coverage {
 
     /// A sweep as if `top` were shown by `shown`, whatever is at it and above it.
     pub fn sweep_beneath<'a>(&'a self, tree: &'a LodTree, top: NodeId, shown: (Option<NodeId>, f32)) -> Sweep<'a> {
-        let level = Level { node: top, end: tree.subtree_end(top), shown, any_beneath: self.any_beneath(top) };
-        Sweep { coverage: self, tree, levels: vec![level] }
+        self.sweep_from(tree, top, shown)
     }
 
     /// Whether the whole sibling group of `node` is there, so that it may count. Always true under `Partial`.
@@ -192,6 +277,9 @@ impl Coverage {
         } else {
             f32::INFINITY
         };
+        if tree.has_directions() {
+            self.refresh_elements(tree, node, counts);
+        }
         let was = self.best_at(node);
         self.change(node, |part| part.best = best);
         if (was < f32::INFINITY) != (best < f32::INFINITY) {
@@ -199,6 +287,18 @@ impl Coverage {
                 let step = if best < f32::INFINITY { 1 } else { -1 };
                 self.change(above, |part| part.beneath = part.beneath.saturating_add_signed(step));
             }
+        }
+    }
+
+    fn refresh_elements(&mut self, tree: &LodTree, node: NodeId, counts: bool) {
+        let mut shown = Elements::NOTHING;
+        for rep in tree.own(node).filter(|&rep| counts && self.contains(rep)) {
+            shown.take(&Elements::of(element::errors(tree, rep), rep), false);
+        }
+        if shown == Elements::NOTHING {
+            self.elements.remove(&node.0);
+        } else {
+            self.elements.insert(node.0, shown);
         }
     }
 
@@ -212,43 +312,77 @@ impl Coverage {
     }
 }
 
+/// What a sweep carries downwards: who shows a node, and how well.
+pub trait Shown: Copy {
+    /// With what the node itself has; `own` is the least error there, ∞ if nothing counts.
+    fn at(self, coverage: &Coverage, node: NodeId, own: f32) -> Self;
+}
+
+/// The node that shows it best, and with which error (∞ for nothing).
+impl Shown for (Option<NodeId>, f32) {
+    #[inline]
+    fn at(self, _coverage: &Coverage, node: NodeId, own: f32) -> Self {
+        // Of equals, the nearest shows it.
+        if own <= self.1 && own < f32::INFINITY { (Some(node), own) } else { self }
+    }
+}
+
+impl Shown for Elements {
+    fn at(mut self, coverage: &Coverage, node: NodeId, own: f32) -> Self {
+        if let Some(elements) = coverage.elements.get(&node.0).filter(|_| own < f32::INFINITY) {
+            self.take(elements, true);
+        }
+        self
+    }
+}
+
 /// A node of the path from the top of a sweep to where it is.
 #[derive(Clone, Copy, Debug)]
-struct Level {
+struct Level<S> {
     node: NodeId,
     end: NodeId,
-    shown: (Option<NodeId>, f32),
+    shown: S,
     any_beneath: bool,
 }
 
 /// Asks what shows one node after the other: each node above them is looked up once, and nothing beneath a node beneath
 /// which nothing counts.
 #[derive(Debug)]
-pub struct Sweep<'a> {
+pub struct Sweep<'a, S = (Option<NodeId>, f32)> {
     coverage: &'a Coverage,
     tree: &'a LodTree,
     /// From the top down, each within the one before.
-    levels: Vec<Level>,
+    levels: Vec<Level<S>>,
 }
 
 impl Sweep<'_> {
+    /// The node at or above `node` whose own representations show it best, with which error (∞ for nothing), and whether
+    /// something beneath `node` counts. `node` lies beneath the top and is not less than the one asked for before.
+    #[inline]
+    pub fn shown_at(&mut self, node: NodeId) -> (Option<NodeId>, f32, bool) {
+        let ((owner, error), any_beneath) = self.at(node);
+        (owner, error, any_beneath)
+    }
+}
+
+impl<S: Shown> Sweep<'_, S> {
     /// Begins anew at the top.
     pub fn restart(&mut self) {
         self.levels.truncate(1);
     }
 
-    /// The node at or above `node` whose own representations show it best, with which error (∞ for nothing), and whether
-    /// something beneath `node` counts. `node` lies beneath the top and is not less than the one asked for before.
+    /// What shows `node`, and whether something beneath it counts. `node` lies beneath the top and is not less than the
+    /// one asked for before.
     #[inline]
-    pub fn shown_at(&mut self, node: NodeId) -> (Option<NodeId>, f32, bool) {
+    pub fn at(&mut self, node: NodeId) -> (S, bool) {
         let last = &self.levels[self.levels.len() - 1];
         if node < last.end && !last.any_beneath {
-            return (last.shown.0, last.shown.1, false);
+            return (last.shown, false);
         }
         self.descend(node)
     }
 
-    fn descend(&mut self, node: NodeId) -> (Option<NodeId>, f32, bool) {
+    fn descend(&mut self, node: NodeId) -> (S, bool) {
         while self.levels.len() > 1 && self.levels[self.levels.len() - 1].end <= node {
             self.levels.pop();
         }
@@ -264,10 +398,7 @@ impl Sweep<'_> {
                 let level = &mut self.levels[i];
                 let own;
                 (own, any_beneath) = self.coverage.at(level.node);
-                // Of equals, the nearest shows it.
-                if own <= shown.1 && own < f32::INFINITY {
-                    shown = (Some(level.node), own);
-                }
+                shown = shown.at(self.coverage, level.node, own);
                 (level.shown, level.any_beneath) = (shown, any_beneath);
                 if !any_beneath {
                     self.levels.truncate(i + 1);
@@ -275,7 +406,7 @@ impl Sweep<'_> {
                 }
             }
         }
-        (shown.0, shown.1, any_beneath)
+        (shown, any_beneath)
     }
 }
 

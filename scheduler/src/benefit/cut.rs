@@ -8,7 +8,7 @@
 
 use super::accuracy::sharpness;
 use super::frustum::{Frustum, Side};
-use super::{solid_angle, weight};
+use super::{element, solid_angle, weight};
 use crate::lod_tree::{LodTree, NodeId};
 use crate::setting::{SettingError, within};
 use crate::view::View;
@@ -63,6 +63,8 @@ pub struct Cut {
     pub scale: f64,
     /// The eye, from which groups are opened further.
     pub eye: DVec3,
+    /// By how much it may move, metres; 0 for a view's own frustum.
+    pub reach: f64,
 }
 
 /// Which directions count, and how far they may be off.
@@ -89,6 +91,7 @@ impl Cut {
         self.patches.clear();
         self.total_weight = 0.0;
         self.eye = eye.frustum.eye;
+        self.reach = eye.reach();
         let end = tree.nodes() as u32;
         let mut next = 0u32;
         // Beneath a node that lies inside as a whole no plane needs to be looked at.
@@ -119,6 +122,11 @@ impl Cut {
             next = subtree_end;
         }
         self.scale = eye.scale(self.total_weight);
+    }
+
+    /// Share of each element in what `node`, in view, weighs here.
+    pub fn shares(&self, tree: &LodTree, node: NodeId) -> [f64; element::ELEMENTS] {
+        element::shares(tree, node, tree.centre(node) - self.eye, tree.half(node), self.reach)
     }
 }
 
@@ -196,6 +204,9 @@ impl Eye {
         if weight.is_nan() || weight <= 0.0 {
             return None;
         }
+        if tree.has_directions() && !element::faces(tree, node, centre, half, self.reach()) {
+            return None;
+        }
         let distance = if tree.is_leaf(node) { weight::nearest_distance(centre, half) } else { centre_distance };
         Some((weight, sharpness(frustum.pixels_per_radian, self.shown_distance(distance))))
     }
@@ -207,6 +218,14 @@ impl Eye {
             Region::Frustum => distance,
         };
         distance.max(self.settings.near)
+    }
+
+    /// By how much the eye may move, metres.
+    pub fn reach(&self) -> f64 {
+        match self.region {
+            Region::Reachable { reach, .. } => reach,
+            Region::Frustum => 0.0,
+        }
     }
 
     /// Whether this is the worst case's region instead of a view's frustum.

@@ -1,10 +1,25 @@
-//! The few orientations that surfaces are sorted into, and which of them an orthoview shows (\[HIBR\] §4.1).
+//! The few orientations that surfaces are sorted into, which of them an orthoview shows, and which of them an eye sees
+//! (\[HIBR\] §4.1).
 //!
 //! An element s stands for all of a leaf's surface whose outer normal is nearest to n_s: the six faces of a cube and its
 //! eight corners, at most 36.3° off. An orthoview taken from the unit direction u (from the node towards the eye) shows s
 //! if n_s·u > [`SHOWN_MIN`], at the error g_r / (n_s·u): a pixel of side g covers that much of an oblique surface.
+//!
+//! A view weighs the elements of a node by its surface S_s ([`LodTree::surface`]) times how high the eye is above it,
+//! m_s = max(0, h_s − n_s·c + reach): c is the middle of the node's box from the eye, h_s = Σ |n_s|·half, so that what
+//! some point of the box could show counts, and reach what the eye may move. Their shares sum to 1; a node none of whose
+//! surface faces the eye weighs nothing. Measures depend on the view only, so that
+//!
+//! ```text
+//! q = Σ_s share_s · max { a_r : r ∈ R shows s }
+//! ```
+//!
+//! stays monotone and submodular in R.
 
+use super::accuracy::accuracy;
+use crate::lod_tree::{LodTree, NodeId, RepId};
 use glam::DVec3;
+use std::sync::LazyLock;
 
 /// How many elements there are.
 pub const ELEMENTS: usize = 14;
@@ -31,6 +46,23 @@ const NORMALS: [DVec3; ELEMENTS] = [
     DVec3::new(CORNER, CORNER, CORNER),
 ];
 
+/// 1/(n_s·u) by the direction's code; ∞ where it does not show s.
+static STRETCH: LazyLock<[[f32; ELEMENTS]; 27]> = LazyLock::new(|| {
+    core::array::from_fn(|code| {
+        let u = towards_eye(code as u8);
+        NORMALS.map(|n| {
+            let cosine = n.dot(u);
+            if cosine > SHOWN_MIN { (1.0 / cosine.min(1.0)) as f32 } else { f32::INFINITY }
+        })
+    })
+});
+
+/// An error by element, metres; ∞ for what is not shown.
+pub type Errors = [f32; ELEMENTS];
+
+/// Nothing is shown.
+pub const NOTHING: Errors = [f32::INFINITY; ELEMENTS];
+
 /// The outer unit normals n_s: −x, +x, −y, +y, −z, +z, then the corners by the signs of x, y, z.
 pub fn normals() -> [DVec3; ELEMENTS] {
     NORMALS
@@ -52,4 +84,109 @@ pub fn nearest(normal: DVec3) -> usize {
 pub fn towards_eye(code: u8) -> DVec3 {
     let sign = |digit: u8| f64::from(digit) - 1.0;
     DVec3::new(sign(code / 9), sign(code / 3 % 3), sign(code % 3)).normalize_or_zero()
+}
+
+/// With which error a representation shows each element.
+pub fn errors(tree: &LodTree, rep: RepId) -> Errors {
+    let error = tree.error(rep) as f32;
+    match tree.direction(rep) {
+        None => [error; ELEMENTS],
+        Some(code) => STRETCH[usize::from(code)].map(|by| if by < f32::INFINITY { error * by } else { by }),
+    }
+}
+
+/// The lesser error of each element.
+pub fn least(a: &Errors, b: &Errors) -> Errors {
+    core::array::from_fn(|s| a[s].min(b[s]))
+}
+
+/// Whether `errors` shows some element better than `others`.
+pub fn improves(errors: &Errors, others: &Errors) -> bool {
+    errors.iter().zip(others).any(|(error, other)| error < other)
+}
+
+/// m_s, metres, for a box with its middle at `centre` from an eye that may move by `reach`.
+pub fn facing(centre: DVec3, half: DVec3, reach: f64) -> [f64; ELEMENTS] {
+    NORMALS.map(|n| height(n, centre, half, reach).max(0.0))
+}
+
+fn height(normal: DVec3, centre: DVec3, half: DVec3, reach: f64) -> f64 {
+    normal.abs().dot(half) - normal.dot(centre) + reach
+}
+
+/// Σ S_s·m_s, m³.
+pub fn projected(surface: &[f64; ELEMENTS], facing: &[f64; ELEMENTS]) -> f64 {
+    surface.iter().zip(facing).map(|(area, m)| area * m).sum()
+}
+
+/// Whether some of a node's surface faces the eye.
+pub fn faces(tree: &LodTree, node: NodeId, centre: DVec3, half: DVec3, reach: f64) -> bool {
+    projected(&tree.surface(node), &facing(centre, half, reach)) > 0.0
+}
+
+/// Share of each element in the weight of a node; they sum to 1, or to 0 where nothing faces the eye.
+pub fn shares(tree: &LodTree, node: NodeId, centre: DVec3, half: DVec3, reach: f64) -> [f64; ELEMENTS] {
+    let surface = tree.surface(node);
+    let mut shares = facing(centre, half, reach);
+    let whole = projected(&surface, &shares);
+    for (share, area) in shares.iter_mut().zip(surface) {
+        *share = if whole > 0.0 { *share * area / whole } else { 0.0 };
+    }
+    shares
+}
+
+/// Σ share_s·a(error_s).
+pub fn mean_accuracy(shares: &[f64; ELEMENTS], errors: &Errors, sharpness: f64) -> f64 {
+    let of =
+        |(share, error): (&f64, &f32)| if *share > 0.0 { share * accuracy(f64::from(*error), sharpness) } else { 0.0 };
+    shares.iter().zip(errors).map(of).sum()
+}
+
+/// Σ share_s·(1 − a(error_s)): 0 too where nothing faces the eye.
+pub fn mean_deficit(shares: &[f64; ELEMENTS], errors: &Errors, sharpness: f64) -> f64 {
+    let of = |(share, error): (&f64, &f32)| share * (1.0 - accuracy(f64::from(*error), sharpness));
+    shares.iter().zip(errors).map(of).sum()
+}
+
+/// Σ share_s·(a(error_s) − a(other_s)) over the elements that it shows better.
+pub fn mean_gain(shares: &[f64; ELEMENTS], errors: &Errors, others: &Errors, sharpness: f64) -> f64 {
+    let mut sum = 0.0;
+    for s in 0..ELEMENTS {
+        if shares[s] > 0.0 && errors[s] < others[s] {
+            sum += shares[s] * (accuracy(f64::from(errors[s]), sharpness) - accuracy(f64::from(others[s]), sharpness));
+        }
+    }
+    sum
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_normal_is_its_own_element_and_no_surface_is_far_from_one() {
+        assert!(NORMALS.iter().enumerate().all(|(s, &n)| nearest(3.0 * n) == s && (n.length() - 1.0).abs() < 1e-15));
+        let golden = core::f64::consts::PI * (3.0 - 5f64.sqrt());
+        let farthest = (0..20_000).map(|i| {
+            let z = 1.0 - (2.0 * f64::from(i) + 1.0) / 20_000.0;
+            let (radius, angle) = ((1.0 - z * z).sqrt(), golden * f64::from(i));
+            let n = DVec3::new(radius * libm::cos(angle), radius * libm::sin(angle), z);
+            NORMALS[nearest(n)].dot(n)
+        });
+        assert!(libm::acos(farthest.fold(1.0, f64::min)).to_degrees() < 36.3);
+    }
+
+    #[test]
+    fn an_orthoview_shows_what_faces_it_and_less_well_what_is_oblique() {
+        // From above: the top as it is, the four upper corners at √3 times the error, no side and nothing that faces down.
+        let top = STRETCH[14];
+        let expected = |s: usize| match s {
+            5 => 1.0,
+            7 | 9 | 11 | 13 => 3f64.sqrt() as f32,
+            _ => f32::INFINITY,
+        };
+        assert!((0..ELEMENTS).all(|s| top[s] == expected(s) || (top[s] - expected(s)).abs() < 1e-6), "{top:?}");
+        // From an upper corner: itself, its three faces, its three neighbours.
+        assert_eq!(STRETCH[26].iter().filter(|s| s.is_finite()).count(), 7);
+    }
 }

@@ -25,6 +25,9 @@ pub(super) fn integrate(benefit: &AddedBenefit) -> Result<Estimate, IntegralErro
     if target.form() != Form::Group {
         return refuse("the target is a leaf");
     }
+    if target.facet().is_some() {
+        return refuse("the shares of elements turn with the view");
+    }
     if benefit.attenuation != 0.0 || cut.centre_falloff != 0.0 {
         return refuse("attenuation and centre weighting are not elementary with it");
     }

@@ -5,9 +5,11 @@
 //!   bisection, which a bound on the distance to the chord steers, and refined by the Illinois method.
 //! - The eye crosses a face plane of a leaf's box, or a plane of symmetry of a group's: linear.
 //! - The distance reaches the floor `near`: piecewise quadratic.
+//! - An element of the surface turns to the eye or away: linear.
 
 use super::{Form, Leg, Target};
 use crate::benefit::cut::CutSettings;
+use crate::benefit::element::normals;
 use crate::benefit::frustum::{Frustum, Side};
 use crate::benefit::weight::nearest_distance;
 use glam::DVec3;
@@ -207,6 +209,16 @@ impl Span<'_> {
             }
             if faces && passes(-half[k]) {
                 push((centre[k] + half[k]) / velocity[k]);
+            }
+        }
+        if let Some(facet) = self.target.facet() {
+            for (normal, _) in normals().into_iter().zip(facet.surface).filter(|(_, area)| *area > 0.0) {
+                // Height of the eye over the plane; it changes by the velocity along the normal.
+                let above = normal.abs().dot(half) - normal.dot(centre);
+                let rate = normal.dot(velocity);
+                if (above < 0.0) != (above + rate * seconds < 0.0) {
+                    push(-above / rate);
+                }
             }
         }
         // How near the path comes at least.

@@ -28,7 +28,7 @@ pub use events::{Events, events};
 pub use integrand::{AddedBenefit, accuracy_gain};
 pub use leg::Leg;
 pub use sampler::{Node, Sampler, gain};
-pub use target::{Form, Sight, Target};
+pub use target::{Facet, Form, Sight, Target};
 
 use crate::estimate::Outcome;
 use crate::view::ViewError;

@@ -206,6 +206,10 @@ impl Sampler {
             let near = gaps.length().max(self.cut.near);
             (way / edge.max(f64::MIN_POSITIVE)).max(towards / near)
         };
+        let moved = match target.facet() {
+            Some(facet) => moved.max(way / facet.height(centre, target.half()).max(f64::MIN_POSITIVE)),
+            None => moved,
+        };
         let turned =
             if side == Side::Inside && self.cut.centre_falloff == 0.0 { 0.0 } else { self.leg.rate() * seconds };
         moved.max(turned).max((0.5 * self.attenuation * seconds).min(1.0))

@@ -4,6 +4,7 @@ use super::leg::METRES_MAX;
 use super::{IntegralError, Leg, within};
 use crate::benefit::accuracy::sharpness;
 use crate::benefit::cut::CutSettings;
+use crate::benefit::element::{self, ELEMENTS};
 use crate::benefit::frustum::{Frustum, Side};
 use crate::benefit::{solid_angle, weight};
 use crate::lod_tree::{LodTree, NodeId};
@@ -28,6 +29,16 @@ pub struct Target {
     /// Of a far leaf or a group: Σ ι × face area by axis, m². Of a leaf: ι thrice.
     size: DVec3,
     form: Form,
+    facet: Option<Facet>,
+}
+
+/// One element of a surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Facet {
+    /// m² by element; not negative.
+    pub surface: [f32; ELEMENTS],
+    /// Which of them is meant.
+    pub element: u8,
 }
 
 /// What a view makes of a target.
@@ -48,7 +59,34 @@ impl Target {
             (true, false) => Form::Leaf,
         };
         let size = if form == Form::Leaf { DVec3::splat(tree.importance(node)) } else { tree.face_areas(node) };
-        Target { centre: tree.centre(node), half: tree.half(node), size, form }
+        Target { centre: tree.centre(node), half: tree.half(node), size, form, facet: None }
+    }
+
+    /// One element of its surface: its weight is the element's share of the whole. A representation adds the sum over the
+    /// elements, each with the errors that it has there.
+    #[must_use]
+    pub fn element(mut self, tree: &LodTree, node: NodeId, element: usize) -> Target {
+        let surface = tree.surface(node).map(|area| area as f32);
+        self.facet = Some(Facet { surface, element: element.min(ELEMENTS - 1) as u8 });
+        self
+    }
+
+    /// One element of a surface that is given.
+    ///
+    /// # Errors
+    /// Areas that are NaN, negative or beyond 10³⁰ m², and an element that does not exist.
+    pub fn with_facet(mut self, facet: Facet) -> Result<Target, IntegralError> {
+        for area in facet.surface {
+            within("surface", f64::from(area), 0.0, 1e30, "0 to 1e30 m²")?;
+        }
+        within("element", f64::from(facet.element), 0.0, (ELEMENTS - 1) as f64, "0 to 13")?;
+        self.facet = Some(facet);
+        Ok(self)
+    }
+
+    /// The element that is meant, if not all of the surface.
+    pub fn facet(&self) -> Option<&Facet> {
+        self.facet.as_ref()
     }
 
     /// A leaf by its box, metres, and importance.
@@ -58,7 +96,7 @@ impl Target {
     pub fn leaf(centre: DVec3, half: DVec3, importance: f64) -> Result<Target, IntegralError> {
         check_box(centre, half)?;
         within("importance", importance, 0.0, 1e300, "0 to 1e300")?;
-        Ok(Target { centre, half, size: DVec3::splat(importance), form: Form::Leaf })
+        Ok(Target { centre, half, size: DVec3::splat(importance), form: Form::Leaf, facet: None })
     }
 
     /// A group (or a far leaf) by its box, metres, and Σ importance × face area by axis, m².
@@ -70,7 +108,7 @@ impl Target {
         for area in face_areas.to_array() {
             within("face area", area, 0.0, 1e250, "0 to 1e250 m²")?;
         }
-        Ok(Target { centre, half, size: face_areas, form: Form::Group })
+        Ok(Target { centre, half, size: face_areas, form: Form::Group, facet: None })
     }
 
     /// Middle of its box, metres.
@@ -127,6 +165,9 @@ impl Target {
                 }
             }
         };
+        if let Some(facet) = &self.facet {
+            weight *= facet.share(centre, self.half);
+        }
         if cut.centre_falloff > 0.0 {
             weight /= weight::off_centre(cut.centre_falloff, frustum.forward, centre, centre_distance);
         }
@@ -135,6 +176,27 @@ impl Target {
             Form::Leaf | Form::FarLeaf => weight::nearest_distance(centre, self.half).max(cut.near),
         };
         Sight { weight, sharpness: sharpness(frustum.pixels_per_radian, distance) }
+    }
+}
+
+impl Facet {
+    /// Its share of what faces the eye, for the middle of the box at `centre` from it.
+    pub fn share(&self, centre: DVec3, half: DVec3) -> f64 {
+        let facing = element::facing(centre, half, 0.0);
+        let whole = element::projected(&self.surface.map(f64::from), &facing);
+        let element = usize::from(self.element);
+        if whole > 0.0 { f64::from(self.surface[element]) * facing[element] / whole } else { 0.0 }
+    }
+
+    /// Mean height of the eye over what faces it, metres: what shares change over.
+    pub(super) fn height(&self, centre: DVec3, half: DVec3) -> f64 {
+        let facing = element::facing(centre, half, 0.0);
+        let (mut sum, mut area) = (0.0, 0.0);
+        for (m, a) in facing.into_iter().zip(self.surface.map(f64::from)).filter(|(m, _)| *m > 0.0) {
+            sum += a * m;
+            area += a;
+        }
+        if area > 0.0 { sum / area } else { 0.0 }
     }
 }
 

@@ -65,6 +65,7 @@ pub const RIVAL: Rival = Rival {
     about: "CesiumJS as shipped: base traversal at 16 px, foveated priority, 18 requests to a server, aborts, LRU cache",
     error_target_px: Some(16.0),
     parallel: 18,
+    tells_directions: false,
     build: |tree, settings| {
         let (error_target_px, max_requests) = (settings.error_target_px, settings.parallel);
         Box::new(Cesium::new(tree, CesiumSettings { error_target_px, max_requests, ..CesiumSettings::default() }))

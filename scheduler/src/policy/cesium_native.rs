@@ -51,6 +51,7 @@ pub const RIVAL: Rival = Rival {
     about: "cesium-native as shipped: urgent, normal and preloaded tiles by angle times distance, 20 loads, 16 px",
     error_target_px: Some(16.0),
     parallel: 20,
+    tells_directions: false,
     build: |tree, settings| {
         let (error_target_px, max_loads) = (settings.error_target_px, settings.parallel);
         let settings = CesiumNativeSettings { error_target_px, max_loads, ..CesiumNativeSettings::default() };

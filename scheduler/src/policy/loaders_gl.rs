@@ -60,6 +60,7 @@ pub const RIVAL: Rival = Rival {
     about: "loaders.gl as deck.gl drives it: 8 px, centre first, 64 requests, a tile's children one after the other",
     error_target_px: Some(8.0),
     parallel: 64,
+    tells_directions: false,
     build: |tree, settings| {
         let (error_target_px, max_requests) = (settings.error_target_px, settings.parallel);
         Box::new(LoadersGl::new(tree, LoadersGlSettings { error_target_px, max_requests, ..Default::default() }))

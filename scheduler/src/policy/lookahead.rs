@@ -43,6 +43,7 @@ pub const RIVAL: Rival = Rival {
     about: "required sets around the viewer at six look-ahead positions, by distance",
     error_target_px: Some(16.0),
     parallel: 4,
+    tells_directions: true,
     build: |tree, settings| {
         let (error_target_px, max_requests) = (settings.error_target_px, settings.parallel);
         let settings = LookaheadSettings { error_target_px, max_requests, ..LookaheadSettings::default() };
@@ -484,14 +485,14 @@ fn distance_to(tree: &LodTree, node: NodeId, eye: DVec3) -> f64 {
     ((tree.centre(node) - eye).abs() - tree.half(node)).max(DVec3::ZERO).length()
 }
 
-/// The representations whose directions make the smallest angles with `towards`, best first, then by id; those that
+/// The representations that look most along `towards` (against their direction), best first, then by id; those that
 /// show every side come first.
 fn facing(tree: &LodTree, reps: &[RepId], towards: DVec3) -> impl Iterator<Item = RepId> + use<> {
     let cosine = |rep: RepId| match tree.direction(rep) {
         Some(code) => {
             let code = f64::from(code);
             let axis = |place: f64| libm::floor(code / place) - 3.0 * libm::floor(code / (3.0 * place)) - 1.0;
-            DVec3::new(axis(9.0), axis(3.0), axis(1.0)).normalize().dot(towards)
+            -DVec3::new(axis(9.0), axis(3.0), axis(1.0)).normalize().dot(towards)
         }
         None => f64::INFINITY,
     };

@@ -24,6 +24,7 @@
 //!     about: "the nearest first, nothing dropped",
 //!     error_target_px: None,
 //!     parallel: 4,
+//!     tells_directions: false,
 //!     build: |_tree, settings| Box::new(NearestFirst { parallel: settings.parallel, queue: Vec::new() }),
 //! };
 //!
@@ -190,6 +191,9 @@ pub struct Rival {
     pub error_target_px: Option<f64>,
     /// Requests in flight at once that it ships with.
     pub parallel: usize,
+    /// Whether it knows that an orthoview shows one side only. Others would take the first for the whole, and a world
+    /// with directions is not replayed with them.
+    pub tells_directions: bool,
     /// Makes it for one client.
     pub build: for<'a> fn(&'a LodTree, &RivalSettings) -> Box<dyn Policy + 'a>,
 }

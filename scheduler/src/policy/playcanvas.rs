@@ -57,6 +57,7 @@ pub const RIVAL: Rival = Rival {
     about: "streamed splats: coverage · error removed / splats added, greedily to a budget",
     error_target_px: None,
     parallel: 2,
+    tells_directions: false,
     build: |tree, settings| {
         Box::new(PlayCanvas::new(tree, PlayCanvasSettings { max_loads: settings.parallel, ..Default::default() }))
     },

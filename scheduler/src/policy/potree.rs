@@ -50,6 +50,7 @@ pub const RIVAL: Rival = Rival {
     // The least size of a node stands for a target: both end the detail.
     error_target_px: Some(30.0),
     parallel: 4,
+    tells_directions: false,
     build: |tree, settings| {
         let (min_node_px, max_nodes_loading) = (settings.error_target_px, settings.parallel);
         Box::new(Potree::new(tree, PotreeSettings { max_nodes_loading, min_node_px, ..Default::default() }))

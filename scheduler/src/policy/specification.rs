@@ -151,6 +151,11 @@ impl PolicySpec {
         specs.map(|spec| PolicySpec::parse(spec, trust, error_target_px)).collect()
     }
 
+    /// Whether it may be replayed in a world whose representations show one direction only.
+    pub fn tells_directions(&self) -> bool {
+        rival(self.name).is_none_or(|rival| rival.tells_directions)
+    }
+
     fn parse(spec: &str, trust: Trust, error_target_px: Option<f64>) -> Result<PolicySpec, PolicySpecError> {
         let mut parts = spec.split(':');
         let given = parts.next().unwrap_or_default();

@@ -61,6 +61,7 @@ pub const RIVAL: Rival = Rival {
     about: "the viewer of that name as shipped: 16 px, 25 unanswered requests, its queue's order and its cache",
     error_target_px: Some(16.0),
     parallel: 100,
+    tells_directions: false,
     build: |tree, settings| {
         let (error_target_px, max_streams) = (settings.error_target_px, settings.parallel);
         let settings = TilesRendererSettings { error_target_px, max_streams, ..TilesRendererSettings::default() };

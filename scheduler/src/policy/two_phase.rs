@@ -47,6 +47,7 @@ pub const RIVAL: Rival = Rival {
     about: "all around the nearest two views of the track, ever less of the next three, least recently used go",
     error_target_px: Some(16.0),
     parallel: 4,
+    tells_directions: false,
     build: |tree, settings| {
         let (error_target_px, max_requests) = (settings.error_target_px, settings.parallel);
         Box::new(TwoPhase::new(tree, TwoPhaseSettings { error_target_px, max_requests }))

@@ -51,6 +51,7 @@ pub const RIVAL: Rival = Rival {
     about: "lowest levels of what is in view first, then shares of the bandwidth by nearness",
     error_target_px: Some(16.0),
     parallel: 4,
+    tells_directions: false,
     build: |tree, settings| {
         let (error_target_px, max_requests) = (settings.error_target_px, settings.parallel);
         Box::new(WeightedProxy::new(tree, WeightedProxySettings { error_target_px, max_requests }))

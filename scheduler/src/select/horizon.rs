@@ -6,8 +6,9 @@
 //! below a tolerance, so that every choice that matters has its own patches.
 
 use crate::benefit::accuracy::accuracy;
-use crate::benefit::coverage::{Coverage, Refinement, Sweep};
+use crate::benefit::coverage::{Coverage, Elements, Refinement};
 use crate::benefit::cut::{Cut, CutSettings, Patch, Region, projected_area};
+use crate::benefit::element::{self, ELEMENTS};
 use crate::lod_tree::{LodTree, NodeId, RepId};
 use crate::predict::PredictedPath;
 use crate::view::View;
@@ -93,6 +94,15 @@ pub struct Horizon {
     pub(crate) cameras: usize,
 }
 
+/// Where a representation stands at a patch in a world with directions.
+#[derive(Clone, Copy, Debug)]
+pub struct ElementChain {
+    /// What shows each element.
+    pub shown: Elements,
+    /// Their shares in the patch's weight.
+    pub shares: [f64; ELEMENTS],
+}
+
 /// Where a rep stands at a patch: the least errors of what is planned.
 #[derive(Clone, Copy, Debug)]
 pub struct Chain {
@@ -161,10 +171,18 @@ impl Horizon {
         // The tolerance is on the objective: a term of little weight need not be opened far.
         let tolerance = settings.tolerance;
         self.opened.clear();
-        let mut sweep = planned.sweep(tree, tree.root());
-        for patch in &cut.patches {
-            let patch = Patch { weight: patch.weight * scale, ..*patch };
-            open(tree, &mut sweep, cut.eye, patch, tolerance, &mut self.opened);
+        let patches = cut.patches.iter().map(|patch| Patch { weight: patch.weight * scale, ..*patch });
+        if tree.has_directions() {
+            let mut sweep = planned.sweep_elements(tree, tree.root());
+            let mut deficit = |node: NodeId, sharpness: f64| {
+                element::mean_deficit(&cut.shares(tree, node), &sweep.at(node).0.errors, sharpness)
+            };
+            patches.for_each(|patch| open(tree, &mut deficit, cut.eye, patch, tolerance, &mut self.opened));
+        } else {
+            let mut sweep = planned.sweep(tree, tree.root());
+            let mut deficit =
+                |node: NodeId, sharpness: f64| 1.0 - accuracy(f64::from(sweep.shown_at(node).1), sharpness);
+            patches.for_each(|patch| open(tree, &mut deficit, cut.eye, patch, tolerance, &mut self.opened));
         }
         core::mem::swap(&mut cut.patches, &mut self.opened);
         let nodes = cut.patches.iter().map(|p| p.node).collect();
@@ -182,6 +200,9 @@ impl Horizon {
     pub fn marginal(&self, tree: &LodTree, planned: &mut Coverage, rep: RepId, offset: f64) -> f64 {
         if planned.refinement() == Refinement::Atomic {
             return self.marginal_of_group(tree, planned, rep, offset);
+        }
+        if tree.has_directions() {
+            return self.marginal_by_element(tree, planned, rep, offset);
         }
         let node = tree.node_of(rep);
         let error = tree.error(rep) as f32;
@@ -220,6 +241,33 @@ impl Horizon {
         sum
     }
 
+    fn marginal_by_element(&self, tree: &LodTree, planned: &Coverage, rep: RepId, offset: f64) -> f64 {
+        let (node, errors) = (tree.node_of(rep), element::errors(tree, rep));
+        let others = planned.elements_without(tree, rep);
+        if !element::improves(&errors, &others.errors) {
+            return 0.0;
+        }
+        let mut sweep = planned.sweep_from(tree, node, others);
+        let mut sum = 0.0;
+        for term in &self.terms {
+            let share = term.span.after(offset);
+            if share <= 0.0 {
+                continue;
+            }
+            sweep.restart();
+            let mut part = 0.0;
+            for patch in term.beneath(tree, node) {
+                let others = sweep.at(patch.node).0.errors;
+                if element::improves(&errors, &others) {
+                    let shares = term.cut.shares(tree, patch.node);
+                    part += patch.weight * element::mean_gain(&shares, &errors, &others, patch.sharpness);
+                }
+            }
+            sum += share * part;
+        }
+        sum
+    }
+
     /// As [`Horizon::marginal`] where a sibling group counts together: the difference over all that the group shows.
     fn marginal_of_group(&self, tree: &LodTree, planned: &mut Coverage, rep: RepId, offset: f64) -> f64 {
         let top = tree.content_parent(tree.node_of(rep)).unwrap_or(tree.root());
@@ -237,6 +285,9 @@ impl Horizon {
 
     /// Σ w·a over what lies beneath `node`, counted from `offset` on.
     pub fn benefit_beneath(&self, tree: &LodTree, planned: &Coverage, node: NodeId, offset: f64) -> f64 {
+        if tree.has_directions() {
+            return self.benefit_by_element(tree, planned, node, offset);
+        }
         let mut sweep = planned.sweep(tree, node);
         let mut sum = 0.0;
         for term in &self.terms {
@@ -248,6 +299,22 @@ impl Horizon {
                 part += patch.weight * accuracy(f64::from(best), patch.sharpness);
             }
             sum += share * part;
+        }
+        sum
+    }
+
+    fn benefit_by_element(&self, tree: &LodTree, planned: &Coverage, node: NodeId, offset: f64) -> f64 {
+        let mut sweep = planned.sweep_elements(tree, node);
+        let mut sum = 0.0;
+        for term in &self.terms {
+            sweep.restart();
+            let mut part = 0.0;
+            for patch in term.beneath(tree, node) {
+                let errors = sweep.at(patch.node).0.errors;
+                let shares = term.cut.shares(tree, patch.node);
+                part += patch.weight * element::mean_accuracy(&shares, &errors, patch.sharpness);
+            }
+            sum += term.span.after(offset) * part;
         }
         sum
     }
@@ -277,13 +344,40 @@ impl Horizon {
             }
         }
     }
+
+    /// As [`Horizon::for_each`] in a world with directions.
+    pub fn for_each_by_element(
+        &self,
+        tree: &LodTree,
+        planned: &Coverage,
+        offset: f64,
+        mut visit: impl FnMut(&Patch, f64, &ElementChain, bool),
+    ) {
+        let mut sweep = planned.sweep_elements(tree, tree.root());
+        for term in &self.terms {
+            let share = term.span.after(offset);
+            sweep.restart();
+            for patch in &term.cut.patches {
+                let shown = sweep.at(patch.node).0;
+                let chain = ElementChain { shown, shares: term.cut.shares(tree, patch.node) };
+                visit(patch, share, &chain, term.is_present);
+            }
+        }
+    }
 }
 
-/// Opens `patch` until nothing beneath it could gain more than `tolerance`, in preorder.
-fn open(tree: &LodTree, planned: &mut Sweep, eye: glam::DVec3, patch: Patch, tolerance: f64, out: &mut Vec<Patch>) {
-    let worth_opening =
-        |weight: f64, best: f32| weight * (1.0 - accuracy(f64::from(best), patch.sharpness)) > tolerance;
-    if tree.is_leaf(patch.node) || !worth_opening(patch.weight, planned.shown_at(patch.node).1) {
+/// Opens `patch` until nothing beneath it could gain more than `tolerance`, in preorder. `deficit` answers how much of a
+/// node's weight is missing at a sharpness; it is asked for ascending nodes.
+fn open(
+    tree: &LodTree,
+    deficit: &mut impl FnMut(NodeId, f64) -> f64,
+    eye: glam::DVec3,
+    patch: Patch,
+    tolerance: f64,
+    out: &mut Vec<Patch>,
+) {
+    let mut worth_opening = |node: NodeId, weight: f64| weight * deficit(node, patch.sharpness) > tolerance;
+    if tree.is_leaf(patch.node) || !worth_opening(patch.node, patch.weight) {
         out.push(patch);
         return;
     }
@@ -298,7 +392,7 @@ fn open(tree: &LodTree, planned: &mut Sweep, eye: glam::DVec3, patch: Patch, tol
     let mut next = NodeId(patch.node.0 + 1);
     while next < end {
         let weight = density * projected_area(tree, next, direction);
-        if tree.is_leaf(next) || !worth_opening(weight, planned.shown_at(next).1) {
+        if tree.is_leaf(next) || !worth_opening(next, weight) {
             out.push(Patch { node: next, weight, sharpness: patch.sharpness });
             next = tree.subtree_end(next);
         } else {

@@ -10,7 +10,8 @@
 use super::{WorstCaseError, check_cut, within};
 use crate::benefit::accuracy::accuracy;
 use crate::benefit::coverage::Coverage;
-use crate::benefit::cut::{Cut, CutSettings, Region};
+use crate::benefit::cut::{Cut, CutSettings, Patch, Region};
+use crate::benefit::element;
 use crate::lod_tree::{LodTree, NodeId, RepId};
 use crate::view::View;
 
@@ -193,9 +194,7 @@ impl<'a> SampledViews<'a> {
     /// Deficit of every view with what is chosen, sr.
     pub fn deficits(&self) -> Vec<f64> {
         let miss = |cut: &Cut| {
-            let missed = cut.patches.iter().map(|p| {
-                p.weight * (1.0 - accuracy(f64::from(self.planned.best_above(self.tree, p.node)), p.sharpness))
-            });
+            let missed = cut.patches.iter().map(|p| p.weight * (1.0 - self.shown(cut, p)));
             missed.sum()
         };
         self.cuts.iter().map(miss).collect()
@@ -205,11 +204,17 @@ impl<'a> SampledViews<'a> {
     fn beneath(&self, cut: &Cut, node: NodeId) -> f64 {
         let end = self.tree.subtree_end(node);
         let first = cut.patches.partition_point(|p| p.node < node);
-        cut.patches[first..]
-            .iter()
-            .take_while(|p| p.node < end)
-            .map(|p| p.weight * accuracy(f64::from(self.planned.best_above(self.tree, p.node)), p.sharpness))
-            .sum()
+        cut.patches[first..].iter().take_while(|p| p.node < end).map(|p| p.weight * self.shown(cut, p)).sum()
+    }
+
+    /// q of a patch.
+    fn shown(&self, cut: &Cut, patch: &Patch) -> f64 {
+        let (tree, node) = (self.tree, patch.node);
+        if tree.has_directions() {
+            let errors = self.planned.elements_above(tree, node).errors;
+            return element::mean_accuracy(&cut.shares(tree, node), &errors, patch.sharpness);
+        }
+        accuracy(f64::from(self.planned.best_above(tree, node)), patch.sharpness)
     }
 }
 

@@ -8,6 +8,7 @@
 //! samples and by branch and bound; [`max_min`] chooses what to fetch for it.
 
 pub mod bounds;
+mod faceted;
 pub mod max_min;
 pub mod minimum;
 pub mod neighbourhood;

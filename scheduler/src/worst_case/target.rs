@@ -7,6 +7,7 @@
 //! each view at least as fine as the view's own cut. Opening 0 is the sum over leaves.
 
 use super::bounds::{Interval, Item, Lens, scale, scaled_sum, solid_angle};
+use super::faceted::{self, Faceted};
 use super::neighbourhood::Neighbourhood;
 use super::view_box::Views;
 use super::{WorstCaseError, check_cut};
@@ -32,7 +33,7 @@ struct Target {
     importance: f64,
     is_far: bool,
     is_leaf: bool,
-    /// Into [`Targets::parts`]; a leaf has one.
+    /// Into [`Targets::parts`], or [`Targets::faceted`] where the world has directions; a leaf has one.
     parts: Range<u32>,
 }
 
@@ -48,6 +49,9 @@ struct Part {
 pub struct Targets {
     targets: Vec<Target>,
     parts: Vec<Part>,
+    /// Instead of `parts` in a world with directions.
+    faceted: Vec<Faceted>,
+    has_directions: bool,
     view: View,
     near: f64,
     pixels_per_radian: f64,
@@ -84,6 +88,8 @@ impl Targets {
         let mut made = Targets {
             targets: Vec::new(),
             parts: Vec::new(),
+            faceted: Vec::new(),
+            has_directions: tree.has_directions(),
             view,
             near: settings.near.max(neighbourhood.stand_off()),
             pixels_per_radian: view.pixels_per_radian(),
@@ -106,9 +112,11 @@ impl Targets {
                 continue;
             }
             next = tree.subtree_end(node);
-            let first = made.parts.len() as u32;
+            let first = made.parts_len();
             let above = coverage.best_above(tree, node);
-            if coverage.any_beneath(node) {
+            if tree.has_directions() {
+                faceted::add(&mut made.faceted, tree, coverage, node);
+            } else if coverage.any_beneath(node) {
                 stack.clear();
                 stack.push((node, above));
                 while let Some((inner, error)) = stack.pop() {
@@ -128,13 +136,23 @@ impl Targets {
             // What weighs nothing from anywhere is left out.
             if importance <= 0.0 && tree.is_leaf(node) || is_far && areas == DVec3::ZERO {
                 made.parts.truncate(first as usize);
+                made.faceted.truncate(first as usize);
                 continue;
             }
-            let (centre, parts) = (tree.centre(node), first..made.parts.len() as u32);
+            let (centre, parts) = (tree.centre(node), first..made.parts_len());
             let is_leaf = tree.is_leaf(node);
             made.targets.push(Target { node, centre, half, areas, importance, is_far, is_leaf, parts });
         }
         Ok(made)
+    }
+
+    fn parts_len(&self) -> u32 {
+        self.parts.len().max(self.faceted.len()) as u32
+    }
+
+    /// The parts of a target by element.
+    fn facets(&self, target: &Target) -> &[Faceted] {
+        &self.faceted[target.parts.start as usize..target.parts.end as usize]
     }
 
     /// How many there are: what evaluating a view costs.
@@ -159,6 +177,10 @@ impl Targets {
 
     fn deficit_of(&self, error: f32, distance: f64) -> f64 {
         1.0 - accuracy(f64::from(error), sharpness(self.pixels_per_radian, distance.max(self.near)))
+    }
+
+    fn deficit_bounds_of(&self, error: f32, nearest: f64, farthest: f64) -> Interval {
+        Interval { lo: self.deficit_of(error, farthest), hi: self.deficit_of(error, nearest) }
     }
 
     /// The deficit of one view; exact up to rounding.
@@ -206,6 +228,13 @@ impl Targets {
         if target.is_far {
             let distance = centre.length();
             let share = share_inside(frustum, centre, target.half, DVec3::ZERO, 0.0, 0.0).hi;
+            if self.has_directions {
+                let looked_at = if target.is_leaf { nearest(centre, target.half) } else { distance };
+                let weight = share * target.areas.dot(centre.abs() / distance) / (distance * distance);
+                let deficit = |error: f32| self.deficit_of(error, looked_at);
+                let mean = faceted::mean(self.facets(target), centre, target.half, deficit);
+                return mean.map_or((0.0, 0.0), |mean| (weight, weight * mean));
+            }
             let projected = |areas: DVec3| areas.dot(centre.abs() / distance) / (distance * distance);
             let parts = &self.parts[target.parts.start as usize..target.parts.end as usize];
             let looked_at = if target.is_leaf { nearest(centre, target.half) } else { distance };
@@ -214,6 +243,12 @@ impl Targets {
         }
         let omega = of_box_in_frustum(centre, target.half, frustum, 0b1111);
         let weight = target.importance * omega;
+        if self.has_directions {
+            let looked_at = nearest(centre, target.half);
+            let deficit = |error: f32| self.deficit_of(error, looked_at);
+            let mean = faceted::mean(self.facets(target), centre, target.half, deficit);
+            return mean.map_or((0.0, 0.0), |mean| (weight, weight * mean));
+        }
         let error = self.parts[target.parts.start as usize].error;
         (weight, weight * self.deficit_of(error, nearest(centre, target.half)))
     }
@@ -275,6 +310,16 @@ impl Targets {
             let here = outside.max(DVec3::ZERO).length();
             looked_at = (outside - views.half).max(DVec3::ZERO).length().max(here - views.radius);
             looked_from = (outside + views.half).max(DVec3::ZERO).length().min(here + views.radius);
+        }
+        if self.has_directions {
+            let bounds = |error: f32| self.deficit_bounds_of(error, looked_at, looked_from);
+            let Some((mean, always)) = faceted::bounds(self.facets(target), centre, target.half, views, bounds) else {
+                return Item::default();
+            };
+            return Item {
+                weight: sane(if always { share.lo * lo } else { 0.0 }, share.hi * hi, f64::INFINITY),
+                share: sane(mean.lo * (1.0 - 1e-9), mean.hi * (1.0 + 1e-9), 1.0),
+            };
         }
         let (mut most, mut least) = (0.0f64, 1.0f64);
         let (mut above, mut below) = (DVec3::ZERO, DVec3::ZERO);
@@ -352,6 +397,17 @@ impl Targets {
                     }
                 }
             }
+        }
+        if self.has_directions {
+            let bounds = |error: f32| self.deficit_bounds_of(error, nearest, farthest);
+            let Some((mean, always)) = faceted::bounds(self.facets(target), centre, target.half, views, bounds) else {
+                return Item::default();
+            };
+            let least = if always { target.importance * omega.lo } else { 0.0 };
+            return Item {
+                weight: sane(least, target.importance * omega.hi, f64::INFINITY),
+                share: sane(mean.lo * (1.0 - 1e-9), mean.hi * (1.0 + 1e-9), 1.0),
+            };
         }
         let error = self.parts[target.parts.start as usize].error;
         Item {

@@ -2,9 +2,9 @@
 //!
 //! w is the whole solid angle of the leaf's content box from the present eye, unclipped, times ι. q is the best that the
 //! resident set offers where each representation counts with the least accuracy over the reachable interval of
-//! distances (stand-off floor) and, if it was rendered along one direction, of angles: its error grows with 1/cos φ, and
-//! at a right angle and beyond it shows nothing. A leaf counts unless it, or a node above it, is outside the region that
-//! the cut uses.
+//! distances (stand-off floor). In a world with directions that is so for each element of the leaf's surface, and those
+//! that some reachable eye sees share the weight ([`crate::benefit::element`]). A leaf counts unless it, or a node above
+//! it, is outside the region that the cut uses.
 //!
 //! Groups are bounded as a whole: with D the distance of the group's middle and ρ its radius, all that lies beneath has
 //! distances in [D − ρ, D + ρ], directions within asin(ρ/D), and Σ w in Σ ι·A·\[cos\]/\[r²\] over those; the relative width is
@@ -17,10 +17,11 @@ use super::{COORDINATE_MAX, WorstCaseError, within};
 use crate::benefit::accuracy::{accuracy, sharpness};
 use crate::benefit::coverage::{Coverage, Refinement};
 use crate::benefit::cut::{CutSettings, Eye, Region};
+use crate::benefit::element::{self, ELEMENTS, Errors};
 use crate::benefit::frustum::{Frustum, Side};
 use crate::estimate::Certified;
 use crate::lod_tree::{LodTree, NodeId, RepId};
-use core::f64::consts::{FRAC_PI_2, PI};
+use core::f64::consts::PI;
 use glam::DVec3;
 
 /// How hard to look.
@@ -84,6 +85,9 @@ pub fn gain(
         if !tree.is_beneath(node, changed) && !tree.is_beneath(changed, node) {
             return Interval::default();
         }
+        if tree.has_directions() && !tree.is_leaf(node) {
+            return scene.gain_by_element(coverage, &with, node, seen);
+        }
         let (before, after) = (scene.accuracy(coverage, node, seen), scene.accuracy(&with, node, seen));
         if tree.is_leaf(node) {
             let gained = (after.lo - before.lo).max(0.0);
@@ -104,8 +108,6 @@ struct Seen {
     distance: Interval,
     /// From the present eye to the middle of the node.
     centre: DVec3,
-    /// Of the node, metres; 0 for a leaf: the middle is meant.
-    radius: f64,
 }
 
 #[derive(Clone, Copy)]
@@ -146,14 +148,7 @@ impl<'a> Scene<'a> {
     fn accuracy(&self, coverage: &Coverage, node: NodeId, seen: &Seen) -> Interval {
         let tree = self.tree;
         let mut found = if tree.has_directions() {
-            let mut best = Interval::default();
-            for above in tree.ancestors(node).filter(|&n| coverage.counts(tree, n)) {
-                for rep in tree.own(above).filter(|&r| coverage.contains(r)) {
-                    let one = self.directed(rep, seen);
-                    best = Interval { lo: best.lo.max(one.lo), hi: best.hi.max(one.hi) };
-                }
-            }
-            best
+            self.accuracy_by_element(&coverage.elements_above(tree, node).errors, node, seen)
         } else {
             let error = f64::from(coverage.best_above(tree, node));
             Interval { lo: self.accuracy_at(error, seen.distance.lo), hi: self.accuracy_at(error, seen.distance.hi) }
@@ -164,30 +159,51 @@ impl<'a> Scene<'a> {
         found
     }
 
-    /// Interval of the least accuracy of one representation over the leaves that `seen` stands for.
-    fn directed(&self, rep: RepId, seen: &Seen) -> Interval {
-        let error = self.tree.error(rep);
-        // Its error stretched by 1/cos of the greatest angle.
-        let stretched = |angle: f64, distance: f64| {
-            let cos = libm::cos(angle);
-            if angle < FRAC_PI_2 && cos > 0.0 { self.accuracy_at(error / cos, distance) } else { 0.0 }
-        };
-        let Some(code) = self.tree.direction(rep) else {
-            return Interval {
-                lo: self.accuracy_at(error, seen.distance.lo),
-                hi: self.accuracy_at(error, seen.distance.hi),
-            };
-        };
-        let axis = |digit: u8| f64::from(digit) - 1.0;
-        // It was rendered looking along (x, y, z): seen best from the other side.
-        let towards_eye = -DVec3::new(axis(code / 9), axis(code / 3 % 3), axis(code % 3)).normalize_or_zero();
-        let distance = seen.centre.length();
-        let apart = |radius: f64| if radius < distance { libm::asin(radius / distance) } else { PI };
-        let angle =
-            if distance > 0.0 { libm::acos((-seen.centre / distance).dot(towards_eye).clamp(-1.0, 1.0)) } else { 0.0 };
-        let most = angle + apart(self.reach + seen.radius);
-        let least = if seen.radius > 0.0 { angle - apart(seen.radius) } else { most };
-        Interval { lo: stretched(most, seen.distance.lo), hi: stretched(least.max(0.0), seen.distance.hi) }
+    /// The elements of a node that may face a reachable eye, with their errors' accuracies.
+    fn facing<'b>(
+        &'b self,
+        errors: &'b Errors,
+        node: NodeId,
+        seen: &'b Seen,
+    ) -> impl Iterator<Item = (usize, Interval)> {
+        let surface = self.tree.surface(node);
+        let facing = element::facing(seen.centre, self.tree.half(node), self.reach);
+        (0..ELEMENTS).filter(move |&s| surface[s] > 0.0 && facing[s] > 0.0).map(|s| {
+            let error = f64::from(errors[s]);
+            let (lo, hi) = (self.accuracy_at(error, seen.distance.lo), self.accuracy_at(error, seen.distance.hi));
+            (s, Interval { lo, hi })
+        })
+    }
+
+    /// As [`Scene::accuracy`], by element: of a leaf their mean, of a group all that a mean could be.
+    fn accuracy_by_element(&self, errors: &Errors, node: NodeId, seen: &Seen) -> Interval {
+        let tree = self.tree;
+        if tree.is_leaf(node) {
+            let shares = element::shares(tree, node, seen.centre, tree.half(node), self.reach);
+            let sharpness = sharpness(self.frustum.pixels_per_radian, seen.distance.lo);
+            let mean = element::mean_accuracy(&shares, errors, sharpness);
+            return Interval { lo: mean, hi: mean };
+        }
+        let mut found = Interval { lo: 1.0, hi: 0.0 };
+        for (_, one) in self.facing(errors, node, seen) {
+            found = Interval { lo: found.lo.min(one.lo), hi: found.hi.max(one.hi) };
+        }
+        // Means are rounded.
+        let round = 64.0 * f64::EPSILON;
+        Interval { lo: found.lo.min(found.hi) * (1.0 - round), hi: (found.hi * (1.0 + round)).min(1.0) }
+    }
+
+    /// Interval of what `with` adds to `coverage` at the leaves beneath a group.
+    fn gain_by_element(&self, coverage: &Coverage, with: &Coverage, node: NodeId, seen: &Seen) -> Interval {
+        let [before, after] = [coverage, with].map(|set| set.elements_above(self.tree, node).errors);
+        if coverage.any_beneath(node) || with.any_beneath(node) {
+            let least = self.facing(&before, node, seen).map(|(_, one)| one.lo).fold(1.0, f64::min);
+            return Interval { lo: 0.0, hi: 1.0 - least };
+        }
+        let later = self.facing(&after, node, seen);
+        let gains = self.facing(&before, node, seen).zip(later).filter(|((s, _), _)| after[*s] < before[*s]);
+        let most = gains.map(|((_, was), (_, is))| is.hi - was.lo).fold(0.0, f64::max);
+        Interval { lo: 0.0, hi: most }
     }
 
     /// What is to be known of a node; `None` if the region misses it.
@@ -205,8 +221,7 @@ impl<'a> Scene<'a> {
         let bounds = tree.bounds(node);
         let nearest = self.neighbourhood.nearest(&bounds).max(self.floor);
         let farthest = if is_leaf { nearest } else { self.neighbourhood.nearest_at_most(&bounds).max(nearest) };
-        let radius = if is_leaf { 0.0 } else { half.length() };
-        let seen = Seen { distance: Interval { lo: nearest, hi: farthest }, centre, radius };
+        let seen = Seen { distance: Interval { lo: nearest, hi: farthest }, centre };
         let is_inside = side == Side::Inside;
         let mut weight = if is_leaf {
             let omega = solid_angle(centre, half, DVec3::ZERO, 0.0);
@@ -220,6 +235,17 @@ impl<'a> Scene<'a> {
         };
         if !is_inside && !is_leaf {
             weight.lo = 0.0;
+        }
+        if tree.has_directions() {
+            if !element::faces(tree, node, centre, half, self.reach) {
+                return None;
+            }
+            // Unless every surface faces the eye from all of the box, some leaf may turn its back.
+            let nearest = element::facing(centre, -half, self.reach);
+            let surface = tree.surface(node);
+            if !is_leaf && (0..ELEMENTS).any(|s| surface[s] > 0.0 && nearest[s] <= 0.0) {
+                weight.lo = 0.0;
+            }
         }
         Some(Open { node, is_inside, item: Item { weight, share: share(node, &seen) } })
     }

@@ -1,5 +1,6 @@
 //! Random trees and views, drawn from a tape of numbers: shrinking the tape shrinks the world.
 
+use foresight_scheduler::benefit::element::ELEMENTS;
 use foresight_scheduler::lod_tree::{Aabb, LodTree, LodTreeBuilder, RepId, Representation};
 use foresight_scheduler::view::View;
 use glam::{DQuat, DVec3};
@@ -37,11 +38,13 @@ impl Tape {
     }
 
     /// A world of at most 4 levels and `reps_max` representations, at least one of them at a leaf: sizes and errors fall
-    /// downwards mostly; boxes overlap, and some have no thickness; some nodes own nothing.
+    /// downwards mostly; boxes overlap, and some have no thickness; some nodes own nothing. In one of three, most
+    /// representations show one direction only, and most leaves tell their surface.
     pub(crate) fn tree(&mut self, reps_max: usize) -> LodTree {
+        let directions = self.below(3) == 1;
         let levels = self.below(4);
         let mut builder = LodTreeBuilder::default();
-        let mut made = Made { reps: Vec::new(), reps_max, plain: self.below(4) == 0 };
+        let mut made = Made { reps: Vec::new(), reps_max, plain: self.below(4) == 0, directions };
         self.node(&mut builder, levels, levels, &mut made);
         builder.finish().expect("what was drawn is a tree")
     }
@@ -68,7 +71,11 @@ impl Tape {
                 _ => None,
             };
             let error = error as f32;
-            let rep = Representation { wire_bytes, decoded_bytes, error, prerequisite, direction: None };
+            let direction = match self.below(if made.directions { 4 } else { 1 }) {
+                0 => None,
+                _ => Some([14, 22, 4, 16, 10, 26, 20, 8, 2, 12, 0, 17][self.below(12)]),
+            };
+            let rep = Representation { wire_bytes, decoded_bytes, error, prerequisite, direction };
             let id = builder.add(rep).expect("what was drawn is a representation");
             before = Some(id);
             made.reps.push(id);
@@ -87,6 +94,13 @@ impl Tape {
             5 => DVec3::new(0.0, 30.0 * self.unit(), 0.0),
             _ => DVec3::new(0.1, 0.1, 0.1) + 15.0 * DVec3::new(self.unit(), self.unit(), self.unit()),
         };
+        if made.directions && self.below(4) > 0 {
+            let mut shares = [0.0f32; ELEMENTS];
+            for _ in 0..1 + self.below(5) {
+                shares[self.below(ELEMENTS)] += 0.1 + self.unit() as f32;
+            }
+            builder.surface(shares).expect("shares are positive");
+        }
         let importance = [1.0, 1.0, 0.3, 0.0][if made.plain { 0 } else { self.below(4) }];
         builder.close(Some(Aabb { min: middle - half, max: middle + half }), importance).expect("the box is finite");
     }
@@ -112,4 +126,6 @@ struct Made {
     reps_max: usize,
     /// No prerequisites and no importance.
     plain: bool,
+    /// Orthoviews.
+    directions: bool,
 }

@@ -115,10 +115,10 @@ fn of_many_directions_each_position_takes_the_three_that_face_it() {
     let tree = b.finish().unwrap();
     let mut s = session(&tree, AMPLE, 26, 1);
     s.tick(&view_at(0.0, 0.0, 0.0));
-    // The cover is (0,0,−1), code 12. The viewer sees the object along (1,2,−300): next come (0,1,−1), code 15, and
-    // (1,0,−1), 21. From 2 m further right, along (−1,2,−300), (−1,0,−1), code 3, is third; from 2 m further up, along
-    // (1,0,−300), code 21 is second and (0,−1,−1), code 9, as good as 15. From code 14 on, the id is one less.
-    assert_eq!(s.fetched(), [12, 3, 9, 14, 20]);
+    // The cover is (0,0,1), code 14. The viewer sees the object along (1,2,−300): next come (0,−1,1), code 11, and
+    // (−1,0,1), 5. From 2 m further right, along (−1,2,−300), (1,0,1), code 23, is third; from 2 m further up, along
+    // (1,0,−300), code 5 is second and (0,1,1), code 17, as good as 11: the lower goes. From code 14 on, the id is one less.
+    assert_eq!(s.fetched(), [13, 5, 11, 22]);
 }
 
 proptest! {

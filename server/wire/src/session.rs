@@ -136,13 +136,6 @@ impl<'a> Session<'a> {
         hello: &Hello,
     ) -> Result<(Session<'a>, Vec<ServerMessage>), Error> {
         check_hello(&world, limits, hello)?;
-        if world.tree.has_directions() {
-            let message = format!(
-                "world {} has representations that show one direction only; their coverage is not scheduled yet",
-                world.name
-            );
-            return Err(fatal(ErrorCode::World, message));
-        }
         let link = hello.link.unwrap_or(limits.link);
         let settings = SchedulerSettings {
             refinement: hello.refinement.into(),

@@ -3,6 +3,7 @@
 use super::outcome::Kind;
 use super::situation::Situation;
 use foresight_scheduler::benefit::cut::{Cut, CutSettings, Region};
+use foresight_scheduler::benefit::element::{ELEMENTS, errors};
 use foresight_scheduler::benefit::frustum::{Frustum, Side};
 use foresight_scheduler::integral::{AddedBenefit, Leg, Target};
 use foresight_scheduler::lod_tree::{LodTree, NodeId};
@@ -22,7 +23,7 @@ pub struct Scene {
 
 /// Draws candidates of a situation: a path by its belief, what is seen along it (a third leaves and far groups alike, a
 /// third what grazes the frustum, a third what only a coarser representation covers), and the errors of a representation
-/// at or above it and of what is shown there now.
+/// at or above it and of what is shown there now; in a world with directions of one element of its surface.
 pub fn real(
     case: &str,
     tree: &LodTree,
@@ -110,10 +111,22 @@ impl Seen {
         let owner = *owners.get((chosen * owners.len() as f64) as usize)?;
         let own = tree.own(owner);
         let rep = own.clone().nth((random.uniform() * own.len() as f64) as usize)?;
-        let after = tree.error(rep);
-        let shown = f64::from(situation.planned.best_above(tree, node));
+        let mut target = Target::of(tree, node, is_far);
+        let (after, shown) = if tree.has_directions() {
+            // One of the elements of which there is some.
+            let surface = tree.surface(node);
+            let elements: Vec<usize> = (0..ELEMENTS).filter(|&s| surface[s] > 0.0).collect();
+            let s = *elements.get((random.uniform() * elements.len() as f64) as usize)?;
+            target = target.element(tree, node, s);
+            (errors(tree, rep)[s], situation.planned.elements_above(tree, node).errors[s])
+        } else {
+            (tree.error(rep) as f32, situation.planned.best_above(tree, node))
+        };
+        let (after, shown) = (f64::from(after), f64::from(shown));
+        if after == f64::INFINITY {
+            return None;
+        }
         let before = if shown > after { shown } else { f64::INFINITY };
-        let target = Target::of(tree, node, is_far);
         let legs = self.legs.iter().filter(|leg| leg.to_s() > situation.arrival_s).map(|leg| AddedBenefit {
             leg: *leg,
             target,

@@ -18,6 +18,7 @@
 
 use super::tiny::Instance;
 use foresight_scheduler::benefit::accuracy::accuracy;
+use foresight_scheduler::benefit::element::errors;
 use foresight_scheduler::lod_tree::{LodTree, RepId};
 use foresight_scheduler::units::Time;
 use foresight_traces::flight::{TICKS_PER_FRAME, tick_time};
@@ -110,16 +111,21 @@ fn quality_of_sets(instance: &Instance, frame: usize) -> Vec<f64> {
     let sets = 1usize << tree.representations();
     let mut quality = vec![0.0; sets];
     for patch in &cut.patches {
-        let mut shows = vec![0.0; tree.representations()];
-        for rep in tree.ancestors(patch.node).flat_map(|node| tree.own(node)) {
-            shows[rep.index()] = accuracy(tree.error(rep), patch.sharpness);
-        }
-        // The best of a set is that of the set without its first, or its first.
-        let mut best = vec![0.0f64; sets];
-        for set in 1..sets {
-            let first = set.trailing_zeros() as usize;
-            best[set] = best[set & (set - 1)].max(shows[first]);
-            quality[set] += patch.weight / cut.total_weight * best[set];
+        // What is told apart: the leaf, or each element of its surface.
+        let shares = if tree.has_directions() { cut.shares(tree, patch.node).to_vec() } else { vec![1.0] };
+        for (s, share) in shares.into_iter().enumerate().filter(|(_, share)| *share > 0.0) {
+            let mut shows = vec![0.0; tree.representations()];
+            for rep in tree.ancestors(patch.node).flat_map(|node| tree.own(node)) {
+                let error = if tree.has_directions() { f64::from(errors(tree, rep)[s]) } else { tree.error(rep) };
+                shows[rep.index()] = accuracy(error, patch.sharpness);
+            }
+            // The best of a set is that of the set without its first, or its first.
+            let mut best = vec![0.0f64; sets];
+            for set in 1..sets {
+                let first = set.trailing_zeros() as usize;
+                best[set] = best[set & (set - 1)].max(shows[first]);
+                quality[set] += share * patch.weight / cut.total_weight * best[set];
+            }
         }
     }
     quality

@@ -13,7 +13,12 @@
 //! upwards: requests, latency (constant or varying), failed requests, decoding, prerequisites and sibling groups cost
 //! nothing, and beneath a group too small to open, any part can be shown perfectly at the least bytes per weight that any
 //! representation there has. What alone exceeds a limit is in no set.
+//!
+//! In a world with directions the maximum is taken for each element of the surface by itself, and the price of a
+//! representation is split among those that it shows, by what they weigh beneath it: the sum of the maxima is no less
+//! than the maximum of the sum, whatever the split.
 
+use super::elements::{CheapestElements, ElementDensity, Lanes};
 use foresight_scheduler::benefit::accuracy::accuracy;
 use foresight_scheduler::benefit::cut::{Cut, projected_area};
 use foresight_scheduler::lod_tree::{LodTree, NodeId};
@@ -40,13 +45,19 @@ pub(super) const ROUNDING: f64 = 1e-5;
 pub struct CheapestBeneath {
     pub(super) wire: Vec<[f32; 3]>,
     pub(super) decoded: Vec<[f32; 3]>,
+    /// Wire and decoded bytes by element, in a world with directions.
+    pub(super) by_element: Option<[CheapestElements; 2]>,
 }
 
 impl CheapestBeneath {
     /// One pass over the tree.
     pub fn new(tree: &LodTree) -> CheapestBeneath {
         let free = [f32::INFINITY; 3];
-        let mut cheapest = CheapestBeneath { wire: vec![free; tree.nodes()], decoded: vec![free; tree.nodes()] };
+        let by_element = tree
+            .has_directions()
+            .then(|| [LodTree::wire_bytes, LodTree::decoded_bytes].map(|bytes| CheapestElements::new(tree, bytes)));
+        let (wire, decoded) = (vec![free; tree.nodes()], vec![free; tree.nodes()]);
+        let mut cheapest = CheapestBeneath { wire, decoded, by_element };
         for node in (1..tree.nodes() as u32).rev().map(NodeId) {
             let Some(parent) = tree.parent(node) else { continue };
             let areas = tree.face_areas(node);
@@ -96,17 +107,17 @@ enum Resource {
 
 /// A node of the frame's problem, in preorder.
 #[derive(Clone, Copy, Debug)]
-struct Item {
-    node: NodeId,
+pub(super) struct Item {
+    pub(super) node: NodeId,
     /// Place of the nearest item above; itself for the first.
-    parent: usize,
+    pub(super) parent: usize,
     /// Options (least errors) that can come from above, the first being nothing at all.
-    inherited: usize,
+    pub(super) inherited: usize,
     /// Where this item's values begin.
-    first: usize,
+    pub(super) first: usize,
     /// For what is seen: its share of the weight and its sharpness; weight 0 for what only groups others.
     weight: f64,
-    sharpness: f64,
+    pub(super) sharpness: f64,
     /// Least wire and decoded bytes per unit of weight at which something beneath improves it; ∞ for leaves.
     beneath: [f64; 2],
 }
@@ -118,6 +129,8 @@ pub struct FrameBound<'a> {
     /// Errors of the options of each item: those inherited, then its own.
     errors: Vec<f64>,
     values: Vec<f64>,
+    /// The same problem by element, in a world with directions.
+    lanes: Option<Lanes>,
     too_deep: bool,
     /// Bytes of every representation in it, ascending: how many exceed a limit says which.
     bytes: [Vec<u32>; 2],
@@ -136,6 +149,7 @@ impl<'a> FrameBound<'a> {
             items: Vec::new(),
             errors: Vec::new(),
             values: Vec::new(),
+            lanes: None,
             too_deep: false,
             bytes: [Vec::new(), Vec::new()],
             memo: [BTreeMap::new(), BTreeMap::new()],
@@ -143,6 +157,7 @@ impl<'a> FrameBound<'a> {
         // Items whose subtree the walk is in, innermost last.
         let mut open: Vec<usize> = Vec::new();
         let mut path = Vec::new();
+        let mut sights = Vec::new();
         for patch in &cut.patches {
             while open.last().is_some_and(|&top| !tree.is_beneath(patch.node, bound.items[top].node)) {
                 open.pop();
@@ -160,6 +175,7 @@ impl<'a> FrameBound<'a> {
             let density = if area > 0.0 { weight / area } else { 0.0 };
             let end = tree.subtree_end(patch.node);
             let mut next = patch.node;
+            let elements = cheapest.by_element.as_ref().map(|_| ElementDensity::new(tree, cut, patch, weight));
             while next < end {
                 let is_patch = next == patch.node;
                 let share = if is_patch { weight } else { density * projected_area(tree, next, direction) };
@@ -179,6 +195,9 @@ impl<'a> FrameBound<'a> {
                 bound.items[item].weight = share;
                 bound.items[item].sharpness = patch.sharpness;
                 bound.items[item].beneath = beneath;
+                if let (Some(elements), Some(cheapest)) = (&elements, &cheapest.by_element) {
+                    sights.push((item, elements.sight(tree, next, cheapest)));
+                }
                 next = tree.subtree_end(next);
             }
         }
@@ -189,6 +208,9 @@ impl<'a> FrameBound<'a> {
             }
         }
         bound.bytes.iter_mut().for_each(|bytes| bytes.sort_unstable());
+        if tree.has_directions() && !bound.too_deep {
+            bound.lanes = Some(Lanes::new(tree, &bound.items, sights));
+        }
         Some(bound)
     }
 
@@ -233,6 +255,10 @@ impl<'a> FrameBound<'a> {
 
     /// max_R [ Q_R − λ·cost(R) ] over what each fits the limits.
     fn relaxed(&mut self, lambda: f64, resource: Resource, limits: Limits) -> f64 {
+        if let Some(lanes) = &self.lanes {
+            let wire = resource == Resource::Wire;
+            return lanes.relaxed(self.tree, &self.items, &mut self.values, lambda, wire, limits);
+        }
         let tree = self.tree;
         self.values.clear();
         self.values.resize(self.errors.len(), 0.0);

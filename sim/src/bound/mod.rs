@@ -7,6 +7,7 @@
 //! by taking the smaller one frame by frame: the latter bounds the mean only.
 
 pub mod ascent;
+mod elements;
 pub mod exact;
 pub mod frame;
 pub mod over_time;
@@ -19,4 +20,4 @@ pub mod whole;
 
 pub use exact::exact;
 pub use frame::{CheapestBeneath, FrameBound, FrameDual, Limits};
-pub use tiny::{Instance, Stratum, bound, tiny};
+pub use tiny::{Instance, Stratum, bound, tiny, tiny_with_directions};

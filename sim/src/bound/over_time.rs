@@ -23,14 +23,16 @@
 //! each maximum by dynamic programming along time (in or out). A pattern never lets r come before W_t holds what r needs
 //! first and r itself. What lies beneath a closed group is one more facility without error, of which any part can be had:
 //! by linearity its best pattern is a whole one. Accuracies of a step's frames are bounded by the chord of
-//! 1/(1 + g²s) over the sharpness s that occur, which is convex in s.
+//! 1/(1 + g²s) over the sharpness s that occur, which is convex in s. In a world with directions ℓ stands for an element
+//! of a leaf's surface.
 
 use super::frame::{CheapestBeneath, ROUNDING};
 use super::prices::Prices;
 use super::seen::{Items, Patched, Sight, patches, steps};
 use super::targets::{Seen, choices, free, seen};
 use foresight_scheduler::benefit::cut::Cut;
-use foresight_scheduler::lod_tree::LodTree;
+use foresight_scheduler::benefit::element::{ELEMENTS, errors};
+use foresight_scheduler::lod_tree::{LodTree, RepId};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -62,8 +64,8 @@ struct Facility {
 #[derive(Clone, Copy, Debug)]
 struct Target {
     step: u32,
-    /// Place of its item.
-    item: u32,
+    /// Place of its item; in a world with directions times [`ELEMENTS`], plus the element.
+    item: u64,
     /// Least price: accuracy of what is left out of its choices.
     floor: f32,
     weight: f64,
@@ -169,12 +171,12 @@ impl OverTime {
     fn build(tree: &LodTree, steps: &[Range<usize>], patches: &[Vec<Patched>], items: &Items) -> OverTime {
         // Facilities by item: its own representations, then what lies beneath it.
         let mut facilities = Vec::new();
-        let mut chains: Vec<Vec<(u32, f64)>> = Vec::with_capacity(items.all.len());
+        let mut chains: Vec<Vec<(u32, Option<RepId>)>> = Vec::with_capacity(items.all.len());
         for (place, item) in items.all.iter().enumerate() {
             let mut chain = if item.parent == place { Vec::new() } else { chains[item.parent].clone() };
             for rep in tree.own(item.node) {
                 let needs = std::iter::successors(Some(rep), |&r| tree.prerequisite(r));
-                chain.push((facilities.len() as u32, tree.error(rep)));
+                chain.push((facilities.len() as u32, Some(rep)));
                 facilities.push(Facility {
                     wire: tree.wire_bytes(rep) as f64,
                     decoded: tree.decoded_bytes(rep) as f64,
@@ -184,7 +186,7 @@ impl OverTime {
                 });
             }
             if item.beneath[0].is_finite() {
-                chain.push((facilities.len() as u32, 0.0));
+                chain.push((facilities.len() as u32, None));
                 let [wire, decoded] = item.beneath;
                 facilities.push(Facility { wire, decoded, least: [0.0; 2], first_slot: 0, end_slot: 0 });
             }
@@ -194,13 +196,25 @@ impl OverTime {
         let lengths: Vec<usize> = chains.iter().map(Vec::len).collect();
         let free = free(&mut seen, &lengths);
 
+        // What can show a target, with its error; what lies beneath shows it without.
+        let has_directions = tree.has_directions();
+        let shows = |target: &Seen| {
+            let element = usize::from(target.element);
+            chains[target.item].iter().filter_map(move |&(facility, rep)| {
+                let error = match rep {
+                    None => 0.0,
+                    Some(rep) if has_directions => f64::from(errors(tree, rep)[element]),
+                    Some(rep) => tree.error(rep),
+                };
+                (error < f64::INFINITY).then_some((facility, error))
+            })
+        };
         let mut last = vec![u32::MAX; facilities.len()];
         for (step, seen) in seen.iter().enumerate() {
             for target in seen {
-                let chain = &chains[target.item];
-                let best = chain.iter().map(|&(_, error)| target.accuracy(error)).fold(0.0, f32::max);
+                let best = shows(target).map(|(_, error)| target.accuracy(error)).fold(0.0, f32::max);
                 let bright = |error: f64| f64::from(target.accuracy(error)) >= FAINT * f64::from(best);
-                for &(facility, _) in chain.iter().filter(|c| bright(c.1)) {
+                for (facility, _) in shows(target).filter(|c| bright(c.1)) {
                     if std::mem::replace(&mut last[facility as usize], step as u32) != step as u32 {
                         facilities[facility as usize].end_slot += 1;
                     }
@@ -226,10 +240,9 @@ impl OverTime {
         for (step, seen) in seen.iter().enumerate() {
             for target in seen {
                 let first_choice = problem.choices.len() as u32;
-                let chain = &chains[target.item];
-                let best = chain.iter().map(|&(_, error)| target.accuracy(error)).fold(0.0, f32::max);
+                let best = shows(target).map(|(_, error)| target.accuracy(error)).fold(0.0, f32::max);
                 let mut floor = 0.0f32;
-                for &(facility, error) in chain {
+                for (facility, error) in shows(target) {
                     let accuracy = target.accuracy(error);
                     if f64::from(accuracy) < FAINT * f64::from(best) {
                         floor = floor.max(accuracy);
@@ -245,7 +258,8 @@ impl OverTime {
                 let end_choice = problem.choices.len() as u32;
                 problem.weight[step] += target.weight[0];
                 if end_choice > first_choice {
-                    let (step, item) = (step as u32, target.item as u32);
+                    let lanes = if has_directions { ELEMENTS as u64 } else { 1 };
+                    let (step, item) = (step as u32, target.item as u64 * lanes + u64::from(target.element));
                     problem.targets.push(Target {
                         step,
                         item,

@@ -1,7 +1,9 @@
 //! What a replay sees: the steps of time, the patches of each, and which groups are opened for all of them.
 
+use super::elements::ElementDensity;
 use super::frame::CheapestBeneath;
 use foresight_scheduler::benefit::cut::{Cut, projected_area};
+use foresight_scheduler::benefit::element::ELEMENTS;
 use foresight_scheduler::lod_tree::{LodTree, NodeId};
 use glam::DVec3;
 use rayon::prelude::*;
@@ -28,10 +30,12 @@ pub(super) fn steps(frames: usize, count: usize) -> Vec<Range<usize>> {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Patched {
     pub(super) node: NodeId,
+    /// Of its surface, in a world with directions; otherwise 0.
+    pub(super) element: u8,
     /// Σ weight, and Σ weight × sharpness.
     pub(super) weight: [f64; 2],
     /// Σ weight per projected area × |direction|: its product with a group's face areas is the group's weight; and the
-    /// same × sharpness.
+    /// same × sharpness. Of an element, along x only: weight per area ([`areas`]).
     pub(super) density: [DVec3; 2],
     /// Least and greatest sharpness.
     pub(super) sharpness: [f64; 2],
@@ -44,12 +48,29 @@ pub(super) fn patches(tree: &LodTree, cuts: &[Cut], steps: &[Range<usize>]) -> V
         let mut all: Vec<Patched> = Vec::new();
         for cut in cuts[step.clone()].iter().filter(|cut| cut.total_weight > 0.0) {
             for patch in &cut.patches {
+                if tree.has_directions() {
+                    let weight = patch.weight / cut.total_weight / nonempty;
+                    let densities = ElementDensity::new(tree, cut, patch, weight);
+                    let surface = tree.surface(patch.node);
+                    for s in (0..ELEMENTS).filter(|&s| surface[s] * densities.of(s) > 0.0) {
+                        let (weight, density) = (surface[s] * densities.of(s), DVec3::X * densities.of(s));
+                        all.push(Patched {
+                            node: patch.node,
+                            element: s as u8,
+                            weight: [weight, weight * patch.sharpness],
+                            density: [density, density * patch.sharpness],
+                            sharpness: [patch.sharpness; 2],
+                        });
+                    }
+                    continue;
+                }
                 let direction = (tree.centre(patch.node) - cut.eye).normalize_or_zero();
                 let area = projected_area(tree, patch.node, direction);
                 let weight = patch.weight / cut.total_weight / nonempty;
                 let density = if area > 0.0 { direction.abs() * (weight / area) } else { DVec3::ZERO };
                 all.push(Patched {
                     node: patch.node,
+                    element: 0,
                     weight: [weight, weight * patch.sharpness],
                     density: [density, density * patch.sharpness],
                     sharpness: [patch.sharpness; 2],
@@ -64,9 +85,9 @@ pub(super) fn patches(tree: &LodTree, cuts: &[Cut], steps: &[Range<usize>]) -> V
 /// Those of one node as one.
 fn sum(mut all: Vec<Patched>) -> Vec<Patched> {
     // Stable, so that sums have one order.
-    all.sort_by_key(|p| p.node);
+    all.sort_by_key(|p| (p.node, p.element));
     all.dedup_by(|next, first| {
-        let same = next.node == first.node;
+        let same = (next.node, next.element) == (first.node, first.element);
         if same {
             first.add(next.weight, next.density, next.sharpness);
         }
@@ -91,6 +112,11 @@ impl Patched {
     }
 }
 
+/// The areas that a patch's density is multiplied by.
+pub(super) fn areas(tree: &LodTree, node: NodeId, element: u8) -> DVec3 {
+    if tree.has_directions() { DVec3::X * tree.surface(node)[usize::from(element)] } else { tree.face_areas(node) }
+}
+
 /// What the whole replay sees of each node.
 pub(super) struct Sight {
     /// Σ density over the patches at the node or above it.
@@ -110,7 +136,12 @@ impl Sight {
     pub(super) fn new(tree: &LodTree, patches: &[Vec<Patched>]) -> Sight {
         let mut sight = Sight { density: vec![DVec3::ZERO; tree.nodes()], seen: vec![Seen::Never; tree.nodes()] };
         for patch in patches.iter().flatten() {
-            sight.density[patch.node.index()] += patch.density[0];
+            // By element as much per area of all elements as there is of it.
+            sight.density[patch.node.index()] += if tree.has_directions() {
+                DVec3::X * (patch.weight[0] / tree.surface(patch.node).iter().sum::<f64>())
+            } else {
+                patch.density[0]
+            };
             if sight.seen[patch.node.index()] == Seen::Never {
                 sight.seen[patch.node.index()] = Seen::Whole;
             }
@@ -136,7 +167,14 @@ impl Sight {
 
     /// Opened where a cut opens it, or where it weighs more than `share` of the replay.
     fn is_open(&self, tree: &LodTree, node: NodeId, share: f64) -> bool {
-        let weight = || self.density[node.index()].dot(tree.face_areas(node));
+        let weight = || {
+            let density = self.density[node.index()];
+            if tree.has_directions() {
+                density.x * tree.surface(node).iter().sum::<f64>()
+            } else {
+                density.dot(tree.face_areas(node))
+            }
+        };
         !tree.is_leaf(node) && (self.seen[node.index()] == Seen::Opened || weight() > share)
     }
 }
@@ -180,7 +218,10 @@ impl Items {
             if !is_open {
                 items.closed.push((next, place));
                 if !tree.is_leaf(next) {
-                    beneath = [whole(tree, &cheapest.wire, next), whole(tree, &cheapest.decoded, next)];
+                    beneath = match &cheapest.by_element {
+                        Some(by_element) => by_element.each_ref().map(|cheapest| cheapest.whole(tree, next)),
+                        None => [whole(tree, &cheapest.wire, next), whole(tree, &cheapest.decoded, next)],
+                    };
                 }
             }
             items.all.push(Item { node: next, parent, beneath });

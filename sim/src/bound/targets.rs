@@ -1,6 +1,6 @@
 //! What each step sees of what is shown as one: the targets of the problem over time, with the smallest taken out.
 
-use super::seen::{Items, Patched};
+use super::seen::{Items, Patched, areas};
 use foresight_scheduler::benefit::accuracy::accuracy;
 use foresight_scheduler::lod_tree::LodTree;
 
@@ -12,6 +12,8 @@ const CHOICES_MAX: usize = 1_500_000;
 pub(super) struct Seen {
     /// Place of the item.
     pub(super) item: usize,
+    /// Of its surface, in a world with directions; otherwise 0.
+    pub(super) element: u8,
     /// Σ weight, and Σ weight × sharpness.
     pub(super) weight: [f64; 2],
     /// Least and greatest.
@@ -43,17 +45,17 @@ pub(super) fn seen(tree: &LodTree, items: &Items, patches: &[Patched]) -> Vec<Se
             let weight = if node == patch.node {
                 patch.weight
             } else {
-                let areas = tree.face_areas(node);
+                let areas = areas(tree, node, patch.element);
                 patch.density.map(|density| density.dot(areas))
             };
             if weight[0] > 0.0 {
-                all.push(Seen { item, weight, sharpness: patch.sharpness });
+                all.push(Seen { item, element: patch.element, weight, sharpness: patch.sharpness });
             }
         }
     }
-    all.sort_by_key(|seen| seen.item);
+    all.sort_by_key(|seen| (seen.item, seen.element));
     all.dedup_by(|next, first| {
-        let same = next.item == first.item;
+        let same = (next.item, next.element) == (first.item, first.element);
         if same {
             first.weight = [first.weight[0] + next.weight[0], first.weight[1] + next.weight[1]];
             let [least, greatest] = first.sharpness;

@@ -77,6 +77,16 @@ pub struct Instance {
 
 /// The instance of a seed.
 pub fn tiny(seed: u64, stratum: Stratum) -> Instance {
+    made(seed, stratum, world)
+}
+
+/// The instance of a seed in a world of orthoviews: two of the root and two of each of two groups, of different directions,
+/// and a mesh of each leaf.
+pub fn tiny_with_directions(seed: u64, stratum: Stratum) -> Instance {
+    made(seed, stratum, world_with_directions)
+}
+
+fn made(seed: u64, stratum: Stratum, world: impl Fn(&mut SplitMix64) -> Result<LodTree, LodTreeError>) -> Instance {
     let mut random = SplitMix64::new(seed ^ (stratum as u64) << 56);
     loop {
         // A draw that is no world or no link, or sees nothing, is drawn again.
@@ -126,6 +136,39 @@ fn world(random: &mut SplitMix64) -> Result<LodTree, LodTreeError> {
             DVec3::new(between(random, -8.0, 8.0) + 18.0 * f64::from(group) - 18.0, 0.0, between(random, -30.0, -10.0));
         builder.open()?;
         builder.add(representation(random, [1, 2], [0.5, 1.0]))?;
+        for leaf in 0..1 + (random.uniform() * 2.0) as u32 {
+            builder.open()?;
+            builder.add(representation(random, [2, 4], [0.05, 0.3]))?;
+            let min = at + DVec3::new(between(random, 4.0, 6.0) * f64::from(leaf), 0.0, 0.0);
+            let size = DVec3::new(between(random, 2.0, 4.0), between(random, 3.0, 9.0), between(random, 2.0, 4.0));
+            builder.close(Some(Aabb { min, max: min + size }), 1.0)?;
+        }
+        builder.close(None, 1.0)?;
+    }
+    builder.close(None, 1.0)?;
+    builder.finish()
+}
+
+fn world_with_directions(random: &mut SplitMix64) -> Result<LodTree, LodTreeError> {
+    // From the front, the sides, above and the upper corners towards the camera, y up.
+    const FACING: [u8; 6] = [14, 22, 4, 16, 26, 8];
+    let mut builder = LodTreeBuilder::default();
+    let two = |builder: &mut LodTreeBuilder, random: &mut SplitMix64, packets, error| -> Result<(), LodTreeError> {
+        let first = (random.uniform() * 6.0) as usize;
+        let second = (first + 1 + (random.uniform() * 5.0) as usize) % 6;
+        for which in [first.min(5), second] {
+            let direction = Some(FACING[which]);
+            builder.add(Representation { direction, ..representation(random, packets, error) })?;
+        }
+        Ok(())
+    };
+    builder.open()?;
+    two(&mut builder, random, [1, 1], [1.5, 2.5])?;
+    for group in 0..2 {
+        let x = between(random, -8.0, 8.0) + 18.0 * f64::from(group) - 9.0;
+        let at = DVec3::new(x, 0.0, between(random, -30.0, -10.0));
+        builder.open()?;
+        two(&mut builder, random, [1, 2], [0.3, 0.8])?;
         for leaf in 0..1 + (random.uniform() * 2.0) as u32 {
             builder.open()?;
             builder.add(representation(random, [2, 4], [0.05, 0.3]))?;

@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
                         foresight-sim generate terrain --size 20km --resolution 10m --out alps\n  \
                         foresight-sim generate asteroids --catalogue-only --out belt\n  \
                         foresight-sim generate path --path teleport:every=5 --out jumps.jsonl\n\n\
-                        The same worlds without a folder: --world city:blocks=40,seed=7, --world terrain:size=20km, --world asteroids:, \
+                        The same worlds without a folder: --world city:blocks=40,seed=7, --world city:blocks=40,orthoviews=256 (with the sizes of orthoviews instead of coarse geometry), --world terrain:size=20km, --world asteroids:, \
                         --world mosaic:mars/,grid=16")]
 pub(crate) struct GenerateArgs {
     #[command(subcommand)]
@@ -61,6 +61,9 @@ enum What {
         /// Names the city among those of its size
         #[arg(long, default_value_t = 1)]
         seed: u64,
+        /// Pixels along a cell's orthoviews in the catalogue, 16 to 4096; 0 for coarse geometry instead
+        #[arg(long, default_value_t = 0, value_name = "N", requires = "catalogue_only")]
+        orthoviews: u32,
         #[command(flatten)]
         out: Out,
     },
@@ -147,8 +150,8 @@ pub(crate) fn run(args: GenerateArgs) -> anyhow::Result<()> {
                 made.bytes as f64 / 1e6
             )?;
         }
-        What::City { blocks, seed, out } => {
-            let params = CityParams { blocks_x: blocks, blocks_y: blocks, seed, ..CityParams::default() };
+        What::City { blocks, seed, orthoviews, out } => {
+            let params = CityParams { blocks_x: blocks, blocks_y: blocks, seed, orthoviews, ..CityParams::default() };
             if out.catalogue_only {
                 catalogue(&params, &out.out)?;
             } else {

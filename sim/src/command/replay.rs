@@ -297,6 +297,12 @@ pub(crate) fn execute(args: &ReplayArgs, progress: &(dyn Fn(usize, usize) + Sync
     let mut policies = PolicySpec::parse_list(&args.policy, args.alpha, target)?;
     let Opened { link, path, world_name, world, placed } = open(args)?;
     policies.iter_mut().for_each(|policy| policy.settings.reach.up = world.up);
+    let is_all = args.policy.split(',').any(|name| name.trim() == "all");
+    let mut blind = Vec::new();
+    if is_all && world.tree.has_directions() {
+        blind.extend(policies.iter().filter(|p| !p.tells_directions()).map(|p| p.label.clone()));
+        policies.retain(PolicySpec::tells_directions);
+    }
 
     let count = args.starts.unwrap_or(if args.link.is_none() { BUILT_IN_STARTS } else { 1 });
     let base = SchedulerSettings::with_budget(0);
@@ -338,6 +344,12 @@ pub(crate) fn execute(args: &ReplayArgs, progress: &(dyn Fn(usize, usize) + Sync
         let failures = comparison.policies.iter().map(|p| format!("{} {:.1}", p.name, p.failures));
         let failures = failures.collect::<Vec<_>>().join(", ");
         comparison.warnings.push(format!("{} % of the requests fail; failures: {failures}", link.loss() * 100.0));
+    }
+    if !blind.is_empty() {
+        let blind = blind.join(", ");
+        comparison
+            .warnings
+            .push(format!("left out, because they take an orthoview for the whole of its node: {blind}"));
     }
     comparison.warnings.extend(arguments::world_notes(&world, 5));
     comparison.warnings.extend(placed.notes.iter().map(|n| format!("path: {n}")));

@@ -91,7 +91,7 @@ impl Seen<'_> {
         let (tree, resident, was_best) = (self.tree, &self.resident, &mut self.was_best);
         let quality = evaluate(tree, cut, resident, |part| {
             let Some(owner) = part.owner else { return };
-            let shown = tree.own(owner).filter(|&rep| resident.contains(rep) && tree.error(rep) as f32 == part.error);
+            let shown = tree.own(owner).filter(|&rep| resident.contains(rep) && part.is_by(tree, rep));
             was_best.extend(shown);
         });
         self.run.frames.push(quality);

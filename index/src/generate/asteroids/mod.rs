@@ -8,8 +8,12 @@
 
 mod geometry;
 mod shape;
+#[cfg(feature = "orthoviews")]
+mod surfaces;
 
 pub use geometry::{MAX_WRITTEN_TILES, write};
+#[cfg(feature = "orthoviews")]
+pub use surfaces::AsteroidSurfaces;
 
 use foresight_scheduler::lod_tree::{Aabb, LodTreeBuilder, LodTreeError, Representation};
 use glam::DVec3;

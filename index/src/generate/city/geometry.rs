@@ -19,15 +19,15 @@ use crate::world::World;
 pub const MAX_WRITTEN_TILES: u64 = 200_000;
 
 /// Linear light of what has no texture of its own.
-const ROOF: [f32; 3] = [0.16, 0.155, 0.15];
-const BARK: [f32; 3] = [0.09, 0.06, 0.04];
+pub(super) const ROOF: [f32; 3] = [0.16, 0.155, 0.15];
+pub(super) const BARK: [f32; 3] = [0.09, 0.06, 0.04];
 const LEAVES: [f32; 3] = [0.07, 0.16, 0.05];
 const WALL: [f32; 3] = [0.42, 0.38, 0.33];
 const PAVING: [f32; 3] = [0.2, 0.2, 0.19];
 const WHITE: [f32; 3] = [1.0; 3];
 
 /// Metres to a repetition of the ground's texture.
-const GROUND_TEXTURE: f64 = 8.0;
+pub(super) const GROUND_TEXTURE: f64 = 8.0;
 
 /// Writes the folder `out` with a 3D Tiles tileset and its contents. `out` must not exist or be an empty folder.
 /// `progress` is told how many files are written, and of how many.
@@ -35,6 +35,7 @@ const GROUND_TEXTURE: f64 = 8.0;
 /// # Errors
 /// Parameters out of range, more than [`MAX_WRITTEN_TILES`] tiles, a folder that is not empty or cannot be written.
 pub fn write(params: &CityParams, out: &Path, progress: &mut dyn FnMut(u64, u64)) -> Result<Written, GenerateError> {
+    let params = &CityParams { orthoviews: 0, ..params.clone() };
     let (world, standing) = laid_out(params)?;
     let tree = &world.tree;
     let tiles = tree.representations() as u64;
@@ -136,7 +137,7 @@ impl Tiles<'_> {
     }
 }
 
-fn shifted(rectangle: Rectangle, origin: DVec2) -> Rectangle {
+pub(super) fn shifted(rectangle: Rectangle, origin: DVec2) -> Rectangle {
     Rectangle { min: rectangle.min - origin, max: rectangle.max - origin }
 }
 

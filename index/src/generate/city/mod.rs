@@ -10,10 +10,16 @@ mod facade;
 pub mod geometry;
 #[cfg(feature = "textures")]
 mod model;
+mod orthoviews;
+#[cfg(all(feature = "orthoviews", feature = "textures"))]
+mod surfaces;
 
 use foresight_scheduler::lod_tree::{Aabb, LodTreeBuilder, LodTreeError, RepId, Representation};
 use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
+
+#[cfg(all(feature = "orthoviews", feature = "textures"))]
+pub use surfaces::CitySurfaces;
 
 use super::document::{GenerateError, Key, ParamError, Params, length, put, range};
 use super::random::Random;
@@ -42,6 +48,14 @@ pub struct CityParams {
     pub tower_height: f64,
     /// Share of the blocks that are parks, 0 to 1.
     pub park_share: f64,
+    /// Pixels along a cell's orthoviews, 16 to 4096: districts and blocks then own one from each of nine directions instead
+    /// of coarse geometry. 0 for none.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub orthoviews: u32,
+}
+
+fn is_zero(pixels: &u32) -> bool {
+    *pixels == 0
 }
 
 impl Default for CityParams {
@@ -55,6 +69,7 @@ impl Default for CityParams {
             street: 14.0,
             tower_height: 160.0,
             park_share: 0.07,
+            orthoviews: 0,
         }
     }
 }
@@ -94,6 +109,11 @@ impl Params for CityParams {
             expected: "a number from 0 to 1",
             set: |params, text| put(&mut params.park_share, text.parse().ok()),
         },
+        Key {
+            name: "orthoviews",
+            expected: "pixels along a cell, 16 to 4096, or 0 for none",
+            set: |params, text| put(&mut params.orthoviews, text.parse().ok()),
+        },
     ];
 
     fn check(&self) -> Result<(), ParamError> {
@@ -104,7 +124,8 @@ impl Params for CityParams {
         range("pitch", self.pitch, 40.0, 1000.0)?;
         range("street", self.street, 0.0, self.pitch / 3.0)?;
         range("tower_height", self.tower_height, 20.0, 1000.0)?;
-        range("park_share", self.park_share, 0.0, 1.0)
+        range("park_share", self.park_share, 0.0, 1.0)?;
+        if self.orthoviews == 0 { Ok(()) } else { range("orthoviews", f64::from(self.orthoviews), 16.0, 4096.0) }
     }
 
     fn build(&self) -> Result<World, GenerateError> {
@@ -214,7 +235,8 @@ impl City<'_> {
         self.builder.open()?;
         let error = libm::ldexp(BLOCK_ERROR, height as i32);
         let level = Level { wire: random.within(20e3, 60e3), unfolds: random.within(4.0, 8.0), error };
-        self.add(&level, None, &format!("districts/{height}/"), &format!("{x0}_{y0}.glb"))?;
+        let cell = self.between([x0, x1, y0, y1]);
+        self.cell(cell, &level, &format!("districts/{height}/"), &format!("{x0}_{y0}.glb"))?;
         let halves = |from: u32, to: u32| {
             let middle = from + (to - from).div_ceil(2);
             [(from, middle), (middle, to)].into_iter().filter(|(from, to)| from < to)
@@ -236,11 +258,23 @@ impl City<'_> {
         regular + Random::at(self.params.seed, axis, u64::from(index), 0).within(-0.08, 0.08) * self.params.pitch
     }
 
-    fn block(&mut self, x: u32, y: u32) -> Result<(), LodTreeError> {
-        let CityParams { blocks_x, blocks_y, seed, street, .. } = *self.params;
+    /// The ground of the blocks from..to along x and y.
+    fn between(&self, [x0, x1, y0, y1]: [u32; 4]) -> Rectangle {
+        let CityParams { blocks_x, blocks_y, .. } = *self.params;
         let corner =
             |x: u32, y: u32| DVec2::new(self.street(STREETS_X, x, blocks_x), self.street(STREETS_Y, y, blocks_y));
-        let whole = Rectangle { min: corner(x, y), max: corner(x + 1, y + 1) };
+        Rectangle { min: corner(x0, y0), max: corner(x1, y1) }
+    }
+
+    /// How near a place is to the middle of the city, 0 to 1.
+    fn centrality(&self, at: DVec2) -> f64 {
+        let radius = 0.2 * self.params.pitch * f64::from(self.params.blocks_x.max(self.params.blocks_y));
+        libm::exp(-at.length_squared() / (radius * radius))
+    }
+
+    fn block(&mut self, x: u32, y: u32) -> Result<(), LodTreeError> {
+        let CityParams { seed, street, .. } = *self.params;
+        let whole = self.between([x, x + 1, y, y + 1]);
         let mut random = Random::at(seed, BLOCK, u64::from(x), u64::from(y));
         let folder = format!("blocks/{x}_{y}/");
         let is_park = random.unit() < self.params.park_share;
@@ -249,7 +283,7 @@ impl City<'_> {
         self.builder.open()?;
         let wire = if is_park { random.within(2e3, 5e3) } else { random.within(6e3, 14e3) };
         let coarse = Level { wire, unfolds: random.within(5.0, 9.0), error: BLOCK_ERROR };
-        self.add(&coarse, None, &folder, "block.glb")?;
+        self.cell(whole, &coarse, &folder, "block.glb")?;
         self.ground(whole, &mut random, &folder)?;
         if is_park {
             let trees = 12 + (random.unit() * 20.0) as u32;
@@ -299,8 +333,7 @@ impl City<'_> {
     ) -> Result<(), LodTreeError> {
         let footprint = lot.inset(random.within(0.5, 2.5));
         let centre = 0.5 * (footprint.min + footprint.max);
-        let radius = 0.2 * self.params.pitch * f64::from(self.params.blocks_x.max(self.params.blocks_y));
-        let centrality = libm::exp(-centre.length_squared() / (radius * radius));
+        let centrality = self.centrality(centre);
         let draw = random.unit();
         let height = random.within(8.0, 24.0) + self.params.tower_height * centrality * draw * draw;
         // Façades of 60 m × 60 m at the lower end of each range, those of the tallest towers at its upper end.
@@ -321,6 +354,9 @@ impl City<'_> {
     /// Closes a leaf around what stands in it.
     fn stand(&mut self, standing: Standing) -> Result<(), LodTreeError> {
         self.standing.push(standing);
+        if self.params.orthoviews > 0 {
+            self.builder.surface(standing.surface())?;
+        }
         self.builder.close(Some(standing.bounds()), 1.0)
     }
 

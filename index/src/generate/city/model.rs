@@ -42,6 +42,15 @@ impl Shell {
         Narrowed { positions: narrowed(positions), normals: narrowed(normals), uv, triangles }
     }
 
+    /// The corners of each triangle with their texture coordinates.
+    #[cfg(feature = "orthoviews")]
+    pub(super) fn faces(&self) -> impl Iterator<Item = ([DVec3; 3], [[f32; 2]; 3])> {
+        let corners = |triangle: &[u32; 3]| {
+            (triangle.map(|at| self.positions[at as usize]), triangle.map(|at| self.uv[at as usize]))
+        };
+        self.triangles.iter().map(corners)
+    }
+
     /// Adds another's triangles.
     pub(super) fn join(&mut self, other: Shell) {
         let first = self.positions.len() as u32;

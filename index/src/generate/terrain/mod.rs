@@ -6,8 +6,12 @@
 mod fractal;
 mod geometry;
 mod model;
+#[cfg(feature = "orthoviews")]
+mod surfaces;
 
 pub use geometry::{MAX_WRITTEN_TILES, write};
+#[cfg(feature = "orthoviews")]
+pub use surfaces::TerrainSurfaces;
 
 use std::collections::VecDeque;
 use std::sync::Arc;

@@ -82,20 +82,22 @@ fn no_level_leaves_a_crack_to_any_of_its_neighbour() {
     let sides = [0, 1].map(|place| made(&content, &painted(), place));
     assert!(sides.iter().all(|levels| levels.len() >= 3), "{:?}", sides.each_ref().map(Vec::len));
     let key = |at: DVec3| [(at.y * 1e7).round() as i64, (at.z * 1e7).round() as i64];
+    // The ends of the surface in the face: sides of an odd number of triangles.
     let edges = |level: &GeometryLevel| -> BTreeSet<[[i64; 2]; 2]> {
-        let all = triangles(&level.glb);
-        let sides = all.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
-        sides
-            .filter(|[a, b]| between(*a) && between(*b))
-            .map(|ends| {
-                let mut e = ends.map(key);
-                e.sort_unstable();
-                e
-            })
-            .collect()
+        let mut odd = BTreeSet::new();
+        for [a, b, c] in triangles(&level.glb) {
+            for side in [[a, b], [b, c], [c, a]].into_iter().filter(|[a, b]| between(*a) && between(*b)) {
+                let mut ends = side.map(key);
+                ends.sort_unstable();
+                if !odd.remove(&ends) {
+                    odd.insert(ends);
+                }
+            }
+        }
+        odd
     };
     let line = edges(&sides[0][0]);
-    assert!(line.len() > 70, "{}", line.len());
+    assert!(line.len() >= 60, "{}", line.len());
     for level in sides.iter().flatten() {
         assert_eq!(edges(level), line, "a level of {} triangles", level.triangles);
     }

@@ -45,15 +45,35 @@ fn bounds(vertices: &[DVec3], triangles: &[[u32; 3]]) -> Aabb {
     })
 }
 
-/// The items of a model, in the order of its objects.
-pub(super) fn items(model: &Model) -> Vec<Item> {
+/// The members of each whole, in the order of the objects.
+fn wholes(model: &Model) -> BTreeMap<usize, Vec<usize>> {
     let mut wholes: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
     for at in 0..model.objects.len() {
         let whole = ancestors(model, at).last().unwrap_or(at);
         wholes.entry(whole).or_default().push(at);
     }
+    wholes
+}
+
+/// What is shown at the finest level of all: objects with their triangles.
+#[cfg(feature = "orthoviews")]
+pub(super) fn finest(model: &Model) -> Vec<(usize, &[[u32; 3]])> {
+    let mut out = Vec::new();
+    for members in wholes(model).values() {
+        let (levels, shown) = shown(model, members);
+        for ((at, level), runs) in shown {
+            if runs.last().is_some_and(|run| run.1 + 1 == levels.len()) {
+                out.push((at, model.objects[at].levels[&level].as_slice()));
+            }
+        }
+    }
+    out
+}
+
+/// The items of a model, in the order of its objects.
+pub(super) fn items(model: &Model) -> Vec<Item> {
     let mut items = Vec::new();
-    for members in wholes.values() {
+    for members in wholes(model).values() {
         let patches = patches(model, members);
         let weight = patches.iter().filter(|patch| patch.until == FINEST).map(|patch| patch.triangles.len()).sum();
         let is_terrain = members.iter().any(|&at| model.objects[at].kind == "TINRelief");
@@ -83,14 +103,17 @@ fn ancestors(model: &Model, at: usize) -> impl Iterator<Item = usize> + '_ {
     std::iter::successors(model.objects[at].parent, |&parent| model.objects[parent].parent)
 }
 
+/// The levels of members that are shown, each with the first and last place at which it is.
+type Shown = BTreeMap<(usize, i32), Vec<(usize, usize)>>;
+
 /// What the members of one whole show at which levels. At level L a member shows its finest geometry up to L, unless
 /// a member above or beneath it has a finer one up to L; where neither it nor those have one, its coarsest.
-fn patches(model: &Model, members: &[usize]) -> Vec<Patch> {
+fn shown(model: &Model, members: &[usize]) -> (Vec<i32>, Shown) {
     let mut levels: Vec<i32> = members.iter().flat_map(|&at| model.objects[at].levels.keys().copied()).collect();
     levels.sort_unstable();
     levels.dedup();
     // The levels of a member that are shown, each with the first and last place in `levels` at which it is.
-    let mut shown: BTreeMap<(usize, i32), Vec<(usize, usize)>> = BTreeMap::new();
+    let mut shown = Shown::new();
     for (place, &level) in levels.iter().enumerate() {
         let own = |at: usize| model.objects[at].levels.range(..=level).next_back().map(|(&own, _)| own);
         let mut beneath: BTreeMap<usize, i32> = BTreeMap::new();
@@ -118,6 +141,11 @@ fn patches(model: &Model, members: &[usize]) -> Vec<Patch> {
             }
         }
     }
+    (levels, shown)
+}
+
+fn patches(model: &Model, members: &[usize]) -> Vec<Patch> {
+    let (levels, shown) = shown(model, members);
     let patch = |(&(at, level), runs): (&(usize, i32), &Vec<(usize, usize)>)| {
         let triangles = &model.objects[at].levels[&level];
         let interval = |&(first, last): &(usize, usize)| Patch {

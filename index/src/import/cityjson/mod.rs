@@ -10,6 +10,8 @@ mod georeference;
 mod items;
 mod limits;
 mod model;
+#[cfg(feature = "orthoviews")]
+mod surfaces;
 mod tiles;
 mod triangulate;
 
@@ -22,6 +24,8 @@ use foresight_scheduler::lod_tree::{LodTreeBuilder, LodTreeError, Representation
 use glam::DVec3;
 
 pub use model::Model;
+#[cfg(feature = "orthoviews")]
+pub use surfaces::CityModelSurfaces;
 
 use crate::ground::{Ground, GroundSurface};
 use crate::uris::UriTableBuilder;

@@ -73,8 +73,8 @@ pub(crate) fn read(
 
 /// The bytes behind a data URI or a file's name.
 pub(crate) fn resource(uri: &str, fetch: &dyn Fn(&str) -> Option<Vec<u8>>, geometry: &mut Geometry) -> Option<Vec<u8>> {
-    if let Some(data) = uri.strip_prefix("data:") {
-        return STANDARD.decode(data.split_once(";base64,")?.1).ok();
+    if uri.starts_with("data:") {
+        return inline(uri);
     }
     let bytes = fetch(uri);
     match &bytes {
@@ -85,6 +85,11 @@ pub(crate) fn resource(uri: &str, fetch: &dyn Fn(&str) -> Option<Vec<u8>>, geome
         None => geometry.missing_files.push(uri.to_owned()),
     }
     bytes
+}
+
+/// The bytes inside a data URI.
+pub(crate) fn inline(uri: &str) -> Option<Vec<u8>> {
+    STANDARD.decode(uri.strip_prefix("data:")?.split_once(";base64,")?.1).ok()
 }
 
 /// An asset with the bytes of its buffers.
@@ -170,64 +175,13 @@ impl<'a> Asset<'a> {
 
     /// Places every mesh.
     fn place(&self, geometry: &mut Geometry) -> Result<(), ContentError> {
-        self.walk(&mut |node, transform, primitives| {
+        walk(self.root, &mut |node, transform, primitives| {
             geometry.instanced |=
                 node.extensions.iter().any(|extensions| extensions.others.contains_key("EXT_mesh_gpu_instancing"));
             for primitive in primitives {
                 self.primitive(primitive, transform, geometry);
             }
         })
-    }
-
-    /// Walks the scene: each node with its transform and the primitives of its mesh.
-    pub(crate) fn walk(
-        &self,
-        visit: &mut dyn FnMut(&gltf::json::Node, &DMat4, &[Primitive]),
-    ) -> Result<(), ContentError> {
-        let root = self.root;
-        let mut seen = vec![false; root.nodes.len()];
-        let mut stack: Vec<(usize, DMat4)> = Vec::new();
-        match root.scene.map_or(root.scenes.first(), |scene| root.scenes.get(scene.value())) {
-            Some(scene) => stack.extend(scene.nodes.iter().rev().map(|node| (node.value(), DMat4::IDENTITY))),
-            None => {
-                let mut beneath = vec![false; root.nodes.len()];
-                for child in root.nodes.iter().flat_map(|node| node.children.iter().flatten()) {
-                    if let Some(flag) = beneath.get_mut(child.value()) {
-                        *flag = true;
-                    }
-                }
-                stack.extend((0..root.nodes.len()).rev().filter(|&node| !beneath[node]).map(|n| (n, DMat4::IDENTITY)));
-            }
-        }
-        while let Some((index, above)) = stack.pop() {
-            let place = || format!("$.nodes[{index}]");
-            let Some(node) = root.nodes.get(index) else {
-                return Err(ContentError::new(
-                    place(),
-                    format!("not there; expected one of {} nodes", root.nodes.len()),
-                ));
-            };
-            if std::mem::replace(&mut seen[index], true) {
-                return Err(ContentError::new(place(), "beneath two nodes or itself; expected a tree".to_owned()));
-            }
-            let transform = above * local(node);
-            if !transform.is_finite() {
-                return Err(ContentError::new(place(), "a transform that is not finite; expected numbers".to_owned()));
-            }
-            let primitives = match node.mesh {
-                None => &[][..],
-                Some(mesh) => match root.meshes.get(mesh.value()) {
-                    Some(mesh) => &mesh.primitives,
-                    None => {
-                        let found = format!("mesh {}; expected one of {}", mesh.value(), root.meshes.len());
-                        return Err(ContentError::new(place(), found));
-                    }
-                },
-            };
-            visit(node, &transform, primitives);
-            stack.extend(node.children.iter().flatten().rev().map(|child| (child.value(), transform)));
-        }
-        Ok(())
     }
 
     fn primitive(&self, primitive: &Primitive, transform: &DMat4, geometry: &mut Geometry) {
@@ -295,21 +249,56 @@ impl<'a> Asset<'a> {
         let size = element_bytes(accessor)?;
         let stride = stride.unwrap_or(size).max(size);
         let start = usize::try_from(accessor.byte_offset.map_or(0, |offset| offset.0)).ok()?;
-        let count = usize::try_from(accessor.count.0).ok()?;
         let bytes = bytes.get(start..)?;
-        let needed = count.checked_sub(1).map_or(Some(0), |last| last.checked_mul(stride)?.checked_add(size))?;
-        let (Checked::Valid(kind), Checked::Valid(shape)) = (&accessor.component_type, &accessor.type_) else {
-            return None;
-        };
-        (needed <= bytes.len()).then_some(Elements {
-            bytes,
-            stride,
-            count,
-            kind: kind.0,
-            components: shape.multiplicity(),
-            normalized: accessor.normalized,
-        })
+        Elements::new(bytes.into(), stride, accessor)
     }
+}
+
+/// Walks the scene: each node with its transform and the primitives of its mesh.
+pub(crate) fn walk(
+    root: &Root,
+    visit: &mut dyn FnMut(&gltf::json::Node, &DMat4, &[Primitive]),
+) -> Result<(), ContentError> {
+    let mut seen = vec![false; root.nodes.len()];
+    let mut stack: Vec<(usize, DMat4)> = Vec::new();
+    match root.scene.map_or(root.scenes.first(), |scene| root.scenes.get(scene.value())) {
+        Some(scene) => stack.extend(scene.nodes.iter().rev().map(|node| (node.value(), DMat4::IDENTITY))),
+        None => {
+            let mut beneath = vec![false; root.nodes.len()];
+            for child in root.nodes.iter().flat_map(|node| node.children.iter().flatten()) {
+                if let Some(flag) = beneath.get_mut(child.value()) {
+                    *flag = true;
+                }
+            }
+            stack.extend((0..root.nodes.len()).rev().filter(|&node| !beneath[node]).map(|n| (n, DMat4::IDENTITY)));
+        }
+    }
+    while let Some((index, above)) = stack.pop() {
+        let place = || format!("$.nodes[{index}]");
+        let Some(node) = root.nodes.get(index) else {
+            return Err(ContentError::new(place(), format!("not there; expected one of {} nodes", root.nodes.len())));
+        };
+        if std::mem::replace(&mut seen[index], true) {
+            return Err(ContentError::new(place(), "beneath two nodes or itself; expected a tree".to_owned()));
+        }
+        let transform = above * local(node);
+        if !transform.is_finite() {
+            return Err(ContentError::new(place(), "a transform that is not finite; expected numbers".to_owned()));
+        }
+        let primitives = match node.mesh {
+            None => &[][..],
+            Some(mesh) => match root.meshes.get(mesh.value()) {
+                Some(mesh) => &mesh.primitives,
+                None => {
+                    let found = format!("mesh {}; expected one of {}", mesh.value(), root.meshes.len());
+                    return Err(ContentError::new(place(), found));
+                }
+            },
+        };
+        visit(node, &transform, primitives);
+        stack.extend(node.children.iter().flatten().rev().map(|child| (child.value(), transform)));
+    }
+    Ok(())
 }
 
 /// The image that a texture shows: an extension's (WebP, KTX2) in place of the fallback.
@@ -335,7 +324,7 @@ fn local(node: &gltf::json::Node) -> DMat4 {
     )
 }
 
-fn element_bytes(accessor: &Accessor) -> Option<usize> {
+pub(crate) fn element_bytes(accessor: &Accessor) -> Option<usize> {
     match (&accessor.component_type, &accessor.type_) {
         (Checked::Valid(kind), Checked::Valid(shape)) => Some(kind.0.size() * shape.multiplicity()),
         _ => None,
@@ -373,8 +362,9 @@ fn normalisation(kind: ComponentType) -> f64 {
 }
 
 /// An accessor's elements, every one of which lies inside `bytes`.
+#[derive(Debug)]
 pub(crate) struct Elements<'a> {
-    bytes: &'a [u8],
+    bytes: Cow<'a, [u8]>,
     stride: usize,
     pub(crate) count: usize,
     kind: ComponentType,
@@ -382,7 +372,31 @@ pub(crate) struct Elements<'a> {
     normalized: bool,
 }
 
-impl Elements<'_> {
+impl<'a> Elements<'a> {
+    /// Elements that lie `stride` bytes apart; `None` if the accessor has no known type.
+    pub(crate) fn new(bytes: Cow<'a, [u8]>, stride: usize, accessor: &Accessor) -> Option<Elements<'a>> {
+        let (Checked::Valid(kind), Checked::Valid(shape)) = (&accessor.component_type, &accessor.type_) else {
+            return None;
+        };
+        let (components, count) = (shape.multiplicity(), usize::try_from(accessor.count.0).ok()?);
+        let needed = count
+            .checked_sub(1)
+            .map_or(Some(0), |last| last.checked_mul(stride)?.checked_add(kind.0.size() * components))?;
+        let normalized = accessor.normalized;
+        (needed <= bytes.len()).then_some(Elements { bytes, stride, count, kind: kind.0, components, normalized })
+    }
+
+    /// Overwrites an element; false if there is none of that number or size.
+    #[cfg(feature = "orthoviews")]
+    pub(crate) fn replace(&mut self, element: usize, value: &[u8]) -> bool {
+        if element >= self.count || value.len() != self.kind.size() * self.components {
+            return false;
+        }
+        let at = element * self.stride;
+        self.bytes.to_mut()[at..at + value.len()].copy_from_slice(value);
+        true
+    }
+
     /// One component as stored; integers without their normalisation.
     pub(crate) fn component(&self, element: usize, component: usize) -> f64 {
         let at = element * self.stride + component * self.kind.size();

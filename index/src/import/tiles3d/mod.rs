@@ -36,6 +36,8 @@ pub use limits::MAX_TILES;
 pub use subtree::{Bits, Subtree, SubtreeError, parse_subtree};
 pub use volume::Volume;
 
+#[cfg(feature = "orthoviews")]
+pub(crate) use resolve::{Folder as TilesetFolder, Target};
 pub(crate) use source::{MOSAIC_SOURCE, Source};
 
 use crate::manifest::{self, Manifest, ManifestError};

@@ -3,6 +3,7 @@
 use super::model::{LIBM, Model, ULP, Vector, dot, minus, plus, times};
 use super::solid_angle::{Corner, clipped, orientation, outline, solid_angle};
 use crate::benefit::accuracy::HALF_ACCURACY_PX;
+use crate::benefit::element::normals;
 use crate::benefit::weight::COSINE_MIN;
 use crate::integral::{AddedBenefit, Form};
 use core::f64::consts::PI;
@@ -180,6 +181,9 @@ impl Scene<'_> {
                 projected * (inverse.squared() * inverse) * share
             }
         };
+        if target.facet().is_some() {
+            weight = weight * self.share_of_element(&centre, half);
+        }
         if cut.centre_falloff > 0.0 {
             weight = weight * self.centre_weight(&centre, sin, cos, centre_squared)?;
         }
@@ -226,6 +230,33 @@ impl Scene<'_> {
         let tangent = across * along.recip()?;
         let off = Model::exact(1.0) + tangent.scaled(self.benefit.cut.centre_falloff);
         Some(off.at_least(1.0).recip()?.clamped())
+    }
+
+    /// S_s·m_s / Σ S·m; all that a share can be where nothing may face the eye.
+    fn share_of_element(&self, centre: &Vector, half: DVec3) -> Model {
+        let Some(facet) = self.benefit.target.facet() else { return Model::exact(1.0) };
+        let (mut own, mut whole) = (Model::ZERO, Model::ZERO);
+        for (s, (normal, area)) in normals().into_iter().zip(facet.surface).enumerate() {
+            if area <= 0.0 {
+                continue;
+            }
+            let mut height = Model::ZERO;
+            for k in 0..3 {
+                height = height + Model::exact(half[k]).scaled(normal[k].abs()) - centre[k].scaled(normal[k]);
+            }
+            let seen = height.at_least(0.0).scaled(f64::from(area));
+            whole = whole + seen;
+            if s == usize::from(facet.element) {
+                own = seen;
+            }
+        }
+        if own.high() <= 0.0 {
+            return Model::ZERO;
+        }
+        match whole.recip() {
+            Some(inverse) if whole.low() > 0.0 => (own * inverse).clamped(),
+            _ => Model::between(0.0, 1.0),
+        }
     }
 
     fn attenuation(&self, middle: f64, reach: f64) -> Model {

@@ -3,11 +3,12 @@
 //! A new sampling is searched in the background, a bounded number of evaluations an observation, while choices are still
 //! made by the one before; it takes over as soon as its best is certain, or when the next sampling is due.
 
-use super::closure::needed_by;
+use super::closure::{coarsest, coarsest_facing, needed_by};
 use super::context::{Choice, Choose, Context, Discarded, Lookahead, first_pointless, predicted_share};
 use super::settings::Discards;
 use crate::benefit::coverage::Refinement;
 use crate::benefit::cut::{Cut, Region};
+use crate::benefit::element::ELEMENTS;
 use crate::lod_tree::RepId;
 use crate::select::certified::{
     Ask, Certificate, Link, Objective, ObjectiveSettings, Ranked, Residents, Search, Standing, Stop,
@@ -348,12 +349,18 @@ impl Choose for CertifiedChoice {
             }));
         }
         let mut weight = BTreeMap::<RepId, f64>::new();
-        for (share, patch) in self.seen.iter().flat_map(|(share, cut)| cut.patches.iter().map(move |p| (share, p))) {
-            if standing.plan().shown_at(tree, patch.node).0.is_none() {
-                let coarsest = tree.ancestors(patch.node).filter_map(|n| tree.own(n).next()).last();
-                if let Some(rep) = coarsest {
-                    *weight.entry(rep).or_default() += share * patch.weight;
-                }
+        let patches = self.seen.iter().flat_map(|(share, cut)| cut.patches.iter().map(move |p| (share, cut, p)));
+        for (share, cut, patch) in patches {
+            let first = if tree.has_directions() {
+                let (shown, shares) = (standing.plan().elements_above(tree, patch.node), cut.shares(tree, patch.node));
+                let shows = (0..ELEMENTS).any(|s| shares[s] > 0.0 && shown.rep(s).is_some());
+                if shows { None } else { coarsest_facing(tree, patch.node, &shares) }
+            } else {
+                let is_shown = standing.plan().shown_at(tree, patch.node).0.is_some();
+                if is_shown { None } else { coarsest(tree, patch.node) }
+            };
+            if let Some(rep) = first {
+                *weight.entry(rep).or_default() += share * patch.weight;
             }
         }
         self.standing = Some(standing);

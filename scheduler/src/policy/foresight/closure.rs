@@ -1,7 +1,8 @@
 //! Closures: what has to come together for a representation to be of use.
 
 use crate::benefit::coverage::{Coverage, Refinement};
-use crate::lod_tree::{NodeId, RepId};
+use crate::benefit::element::{self, ELEMENTS};
+use crate::lod_tree::{LodTree, NodeId, RepId};
 use crate::state::ClientState;
 
 /// What must be fetched for `rep` to be of use, in order: missing prerequisites first, and under atomic refinement the
@@ -51,4 +52,22 @@ pub(super) fn common_ancestor(state: &ClientState, members: &[RepId]) -> NodeId 
         }
     }
     top
+}
+
+/// The first representation of the topmost node that has one, at or above `node`.
+pub(super) fn coarsest(tree: &LodTree, node: NodeId) -> Option<RepId> {
+    tree.ancestors(node).filter_map(|n| tree.own(n).next()).last()
+}
+
+/// Of the topmost node that shows some of what faces the eye, the representation that shows the largest share of it.
+pub(super) fn coarsest_facing(tree: &LodTree, node: NodeId, shares: &[f64; ELEMENTS]) -> Option<RepId> {
+    let shown = |rep: RepId| -> f64 {
+        let errors = element::errors(tree, rep);
+        (0..ELEMENTS).filter(|&s| errors[s] < f32::INFINITY).map(|s| shares[s]).sum()
+    };
+    let of_node = |n: NodeId| {
+        let own = tree.own(n).map(|rep| (shown(rep), rep)).filter(|(share, _)| *share > 0.0);
+        own.max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1))).map(|(_, rep)| rep)
+    };
+    tree.ancestors(node).filter_map(of_node).last()
 }

@@ -4,12 +4,13 @@
 //! partial refinement is exact, because gains only fall while the planned set grows. It knows sibling groups (atomic
 //! refinement), which branch and bound does not.
 
-use super::closure::{closure, common_ancestor, needed_by};
+use super::closure::{closure, coarsest, coarsest_facing, common_ancestor, needed_by};
 use super::context::{Choice, Choose, Context, Discarded, Lookahead, first_pointless, predicted_share};
 use super::settings::Discards;
 use crate::benefit::accuracy::accuracy;
 use crate::benefit::coverage::{Coverage, Refinement};
-use crate::lod_tree::{NodeId, RepId};
+use crate::benefit::element::{self, ELEMENTS};
+use crate::lod_tree::{LodTree, NodeId, RepId};
 use crate::select::discard::{Victim, Victims};
 use crate::select::horizon::{Horizon, HorizonSettings, Worst};
 use crate::state::{ClientState, Status};
@@ -88,7 +89,7 @@ impl Default for Sampled {
 
 impl Sampled {
     fn sample_with(&mut self, cx: &Context, plan: &Coverage, ahead: &Lookahead) {
-        let (state, tree, s) = (cx.state, cx.state.tree, cx.settings);
+        let (tree, s) = (cx.state.tree, cx.settings);
         let horizon = HorizonSettings {
             alpha: ahead.alpha,
             attenuation: s.attenuation,
@@ -104,6 +105,16 @@ impl Sampled {
 
         // One pass over all patches gives every candidate's gain, with the earliest arrival any could have.
         let earliest = cx.arrival(0);
+        if tree.has_directions() {
+            self.gather_by_element(tree, plan, earliest);
+        } else {
+            self.gather(tree, plan, earliest);
+        }
+        self.rank(cx, plan);
+    }
+
+    /// Gains of all candidates, and what is the best of something in a present view.
+    fn gather(&mut self, tree: &LodTree, plan: &Coverage, earliest: f64) {
         let (gain, touched, last_used, uses) = (&mut self.gain, &mut self.touched, &mut self.last_used, self.uses);
         self.horizon.for_each(tree, plan, earliest, |patch, share, chain, present| {
             if let (true, Some(owner)) = (present, chain.owner) {
@@ -137,6 +148,37 @@ impl Sampled {
                 }
             }
         });
+    }
+
+    /// As [`Sampled::gather`], by element.
+    fn gather_by_element(&mut self, tree: &LodTree, plan: &Coverage, earliest: f64) {
+        let (gain, touched, last_used, uses) = (&mut self.gain, &mut self.touched, &mut self.last_used, self.uses);
+        self.horizon.for_each_by_element(tree, plan, earliest, |patch, share, chain, present| {
+            if present {
+                for s in (0..ELEMENTS).filter(|&s| chain.shares[s] > 0.0) {
+                    last_used.extend(chain.shown.rep(s).map(|rep| (rep, uses)));
+                }
+            }
+            if share <= 0.0 {
+                return;
+            }
+            for rep in tree.ancestors(patch.node).flat_map(|node| tree.own(node)).filter(|&rep| !plan.contains(rep)) {
+                let errors = element::errors(tree, rep);
+                let added = element::mean_gain(&chain.shares, &errors, &chain.shown.errors, patch.sharpness);
+                if added > 0.0 {
+                    let sum = gain.entry(rep).or_insert_with(|| {
+                        touched.push(rep);
+                        0.0
+                    });
+                    *sum += share * patch.weight * added;
+                }
+            }
+        });
+    }
+
+    /// Turns the gains into candidates.
+    fn rank(&mut self, cx: &Context, plan: &Coverage) {
+        let (state, tree) = (cx.state, cx.state.tree);
         let alone = !tree.has_prerequisites() && plan.refinement() == Refinement::Partial;
         let mut ranked = core::mem::take(&mut self.candidates).into_vec();
         ranked.clear();
@@ -199,10 +241,14 @@ impl Sampled {
         self.victims_known = true;
         let tree = state.tree;
         let planned = cx.settings.discards == Discards::Planned;
+        if planned && tree.has_directions() {
+            self.losses_by_element(tree, plan, offset);
+        }
         // Singly, only the best of each patch loses anything: the difference to the second best. One pass adds it up.
         let gain = &mut self.gain;
+        let by_node = planned && !tree.has_directions();
         self.horizon.for_each(tree, plan, offset, |patch, share, chain, _| {
-            let Some(owner) = chain.owner.filter(|_| planned && share > 0.0) else { return };
+            let Some(owner) = chain.owner.filter(|_| by_node && share > 0.0) else { return };
             let mut second = if tree.errors_fall() {
                 tree.parent(owner).map_or(f32::INFINITY, |p| plan.best_above(tree, p))
             } else {
@@ -229,6 +275,32 @@ impl Sampled {
             self.victims.push(Victim { loss_per_byte, last_used, rep });
         }
         gain.clear();
+    }
+
+    /// What discarding each planned representation would lose by itself: of each element only its best loses, down to the
+    /// second best.
+    fn losses_by_element(&mut self, tree: &LodTree, plan: &Coverage, offset: f64) {
+        let gain = &mut self.gain;
+        self.horizon.for_each_by_element(tree, plan, offset, |patch, share, chain, _| {
+            if share <= 0.0 {
+                return;
+            }
+            let mut second = element::NOTHING;
+            let held = tree.ancestors(patch.node).flat_map(|node| tree.own(node)).filter(|&rep| plan.contains(rep));
+            for rep in held {
+                let errors = element::errors(tree, rep);
+                for s in (0..ELEMENTS).filter(|&s| chain.shown.rep(s) != Some(rep)) {
+                    second[s] = second[s].min(errors[s]);
+                }
+            }
+            for s in (0..ELEMENTS).filter(|&s| chain.shares[s] > 0.0) {
+                let at = |error: f32| accuracy(f64::from(error), patch.sharpness);
+                let lost = at(chain.shown.errors[s]) - at(second[s]);
+                if let Some(rep) = chain.shown.rep(s).filter(|_| lost > 0.0) {
+                    *gain.entry(rep).or_insert(0.0) += share * patch.weight * chain.shares[s] * lost;
+                }
+            }
+        });
     }
 
     /// The best closure that gains, with its discards; the plan is as before.
@@ -378,19 +450,29 @@ impl Sampled {
     fn cover_with(&mut self, cx: &Context, plan: &Coverage) -> Option<RepId> {
         let (state, tree) = (cx.state, cx.state.tree);
         let (gain, touched) = (&mut self.gain, &mut self.touched);
-        self.horizon.for_each(tree, plan, 0.0, |patch, _, chain, present| {
-            if !present || chain.owner.is_some() {
-                return;
-            }
-            let coarsest = tree.ancestors(patch.node).filter_map(|n| tree.own(n).next()).last();
-            if let Some(rep) = coarsest {
+        let mut add = |rep: Option<RepId>, weight: f64| {
+            if let Some(rep) = rep {
                 let sum = gain.entry(rep).or_insert_with(|| {
                     touched.push(rep);
                     0.0
                 });
-                *sum += patch.weight;
+                *sum += weight;
             }
-        });
+        };
+        if tree.has_directions() {
+            self.horizon.for_each_by_element(tree, plan, 0.0, |patch, _, chain, present| {
+                let shown = (0..ELEMENTS).any(|s| chain.shares[s] > 0.0 && chain.shown.rep(s).is_some());
+                if present && !shown {
+                    add(coarsest_facing(tree, patch.node, &chain.shares), patch.weight);
+                }
+            });
+        } else {
+            self.horizon.for_each(tree, plan, 0.0, |patch, _, chain, present| {
+                if present && chain.owner.is_none() {
+                    add(coarsest(tree, patch.node), patch.weight);
+                }
+            });
+        }
         let per_byte = |r: RepId| gain[&r] / tree.wire_bytes(r) as f64;
         let best = touched
             .iter()

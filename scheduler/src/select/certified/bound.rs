@@ -1,8 +1,10 @@
 //! Upper bounds for what lies in a box: nearest distance, frustum, area per byte and least error.
 
+use super::lanes::{Lanes, Looked};
 use super::objective::Objective;
+use crate::benefit::element::{self, ELEMENTS, Errors};
 use crate::benefit::frustum::Side;
-use crate::lod_tree::Beneath;
+use crate::lod_tree::{Beneath, LodTree, NodeId};
 use glam::DVec3;
 
 /// The terms among which a box may be seen: a bit each, the last bit for all from the 64th on.
@@ -28,7 +30,36 @@ pub(super) struct Target {
     shown: f64,
 }
 
+/// What is shown of a box in a world with directions.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ShownElements {
+    /// At least the errors of everything in the box, by element; 0 where it has no such surface.
+    pub(super) errors: Errors,
+}
+
+impl ShownElements {
+    /// Of a node where at least `errors` are shown.
+    pub(super) fn new(tree: &LodTree, node: NodeId, errors: &Errors) -> ShownElements {
+        let surface = tree.surface(node);
+        ShownElements { errors: core::array::from_fn(|s| if surface[s] > 0.0 { errors[s] } else { 0.0 }) }
+    }
+
+    /// The largest error of what any part of a box can turn to the eye: what faces it from no point of the box faces it
+    /// from none of a part.
+    fn worst(&self, centre: DVec3, half: DVec3, reach: f64) -> f64 {
+        // A hair more, for rounding.
+        let facing = element::facing(centre, half, reach + 1e-12 * (centre.length() + half.length()));
+        (0..ELEMENTS).filter(|&s| facing[s] > 0.0).map(|s| f64::from(self.errors[s])).fold(0.0, f64::max)
+    }
+}
+
 impl Target {
+    /// With `shown` instead of what it was made with; of no worth where that is shown as well already.
+    fn shown_as(self, shown: f64) -> Target {
+        let density = if shown * shown <= self.least_squared { DVec3::ZERO } else { self.density };
+        Target { shown, density, ..self }
+    }
+
     /// For candidates within `bounds` where everything is shown with an error of at most `shown` metres (∞: nothing).
     pub(super) fn new(bounds: &Beneath, shown: f32) -> Target {
         let [x, y, z] = bounds.density.map(f64::from);
@@ -43,7 +74,7 @@ impl Target {
     }
 
     /// Largest accuracy that can be added at a sharpness of exactly `s`.
-    fn added_at(&self, s: f64) -> f64 {
+    pub(super) fn added_at(&self, s: f64) -> f64 {
         let with = 1.0 / (1.0 + self.least_squared * s);
         if self.shown == f64::INFINITY {
             return with;
@@ -66,6 +97,7 @@ impl Target {
 impl Objective {
     /// For each target, at least the gain (per byte, or whole) of every candidate in the box; ∞ where an eye may be inside.
     /// Looks only at the terms of `mask` and returns those that may see the box. `weights` are the terms' shares.
+    #[expect(clippy::too_many_arguments, reason = "inputs of one sum; grouping them would only rename them")]
     pub(super) fn bound(
         &self,
         weights: &[f64],
@@ -73,6 +105,7 @@ impl Objective {
         half: DVec3,
         mask: Mask,
         targets: &[Target],
+        elements: Option<&ShownElements>,
         out: &mut Vec<f64>,
     ) -> Mask {
         out.clear();
@@ -104,21 +137,22 @@ impl Objective {
                 continue;
             }
             if reachable {
-                self.bound_from(i, weights[i], relative, half, targets, out);
+                self.bound_from(i, weights[i], relative, half, targets, elements, out);
                 continue;
             }
             place = match place {
                 Some((first, sum)) if self.is_same_place(first, i) => Some((first, sum + weights[i])),
                 before => {
                     if let Some((first, sum)) = before {
-                        self.bound_from(first, sum, centre - self.terms[first].eye.frustum.eye, half, targets, out);
+                        let centre = centre - self.terms[first].eye.frustum.eye;
+                        self.bound_from(first, sum, centre, half, targets, elements, out);
                     }
                     Some((i, weights[i]))
                 }
             };
         }
         if let Some((first, sum)) = place {
-            self.bound_from(first, sum, centre - self.terms[first].eye.frustum.eye, half, targets, out);
+            self.bound_from(first, sum, centre - self.terms[first].eye.frustum.eye, half, targets, elements, out);
         }
         for bound in out.iter_mut() {
             *bound = if bound.is_nan() { f64::INFINITY } else { *bound * SLACK };
@@ -132,13 +166,28 @@ impl Objective {
     }
 
     /// Adds what one place with `weight` makes of the box, whose middle is at `centre` from there.
-    fn bound_from(&self, term: usize, weight: f64, centre: DVec3, half: DVec3, targets: &[Target], out: &mut [f64]) {
-        let term = &self.terms[term];
+    #[expect(clippy::too_many_arguments, reason = "inputs of one sum; grouping them would only rename them")]
+    fn bound_from(
+        &self,
+        term: usize,
+        weight: f64,
+        centre: DVec3,
+        half: DVec3,
+        targets: &[Target],
+        elements: Option<&ShownElements>,
+        out: &mut [f64],
+    ) {
+        let (index, term) = (term, &self.terms[term]);
         let reachable = term.eye.is_reachable();
         let delta = (centre.abs() - half).max(DVec3::ZERO);
         let squared = delta.length_squared();
         let distance = squared.sqrt();
         let shown_from = term.eye.shown_distance(distance);
+        if let Some(elements) = elements {
+            let worst = elements.worst(centre, half, term.eye.reach());
+            let targets: Vec<Target> = targets.iter().map(|target| target.shown_as(worst)).collect();
+            return self.bound_from(index, weight, centre, half, &targets, None, out);
+        }
         if distance <= 0.0 || (!reachable && shown_from > distance) {
             out.fill(f64::INFINITY);
             return;
@@ -162,20 +211,19 @@ impl Objective {
 }
 
 impl Objective {
-    /// About what showing a box with `error` instead of `others` adds, and whether the first term sees it: not a bound.
-    pub(super) fn guess(
+    /// About what showing a node with `errors` instead of `others` adds, and whether the first term sees it: not a bound.
+    pub(super) fn guess<L: Lanes>(
         &self,
+        tree: &LodTree,
         weights: &[f64],
-        centre: DVec3,
-        half: DVec3,
-        areas: DVec3,
-        error: f32,
-        others: f32,
+        node: NodeId,
+        errors: &L,
+        others: &L,
     ) -> (f64, bool) {
-        let target = Target::of_area(areas, error, others);
+        let (middle, half, areas) = (tree.centre(node), tree.half(node), tree.face_areas(node));
         let (mut sum, mut in_first) = (0.0, false);
         for (i, term) in self.terms.iter().enumerate() {
-            let centre = centre - term.eye.frustum.eye;
+            let centre = middle - term.eye.frustum.eye;
             let outside = if term.eye.is_reachable() {
                 term.eye.side(centre, half) == Side::Outside
             } else {
@@ -190,7 +238,9 @@ impl Objective {
             let shown_from = term.eye.shown_distance(distance);
             let area = areas.dot((centre / distance).abs());
             let solid_angle = (area / squared).min(term.eye.frustum.solid_angle);
-            sum += weights[i] * solid_angle * target.added_at(term.sharpness / (shown_from * shown_from));
+            let sharpness = term.sharpness / (shown_from * shown_from);
+            let at = Looked { node, centre, half, reach: term.eye.reach(), sharpness };
+            sum += weights[i] * solid_angle * errors.guessed(others, tree, &at);
         }
         (sum, in_first)
     }

@@ -4,10 +4,10 @@
 //! candidate's node, so that a small candidate far away is not a share of a large group.
 
 use super::bound::Mask;
+use super::lanes::{Lanes, Looked};
 use super::objective::Objective;
 use super::standing::Standing;
-use crate::benefit::accuracy::accuracy;
-use crate::benefit::cut::projected_area;
+use crate::benefit::element::Errors;
 use crate::benefit::frustum::Side;
 use crate::lod_tree::{LodTree, NodeId, RepId};
 use glam::DVec3;
@@ -15,17 +15,29 @@ use glam::DVec3;
 /// Scratch of the sums, kept for its memory.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Scratch {
-    stack: Vec<Open>,
-    parts: Vec<(NodeId, f32)>,
+    whole: Stacks<f32>,
+    by_element: Stacks<Errors>,
     /// Nodes visited.
     pub(super) visited: u64,
 }
 
+#[derive(Clone, Debug)]
+struct Stacks<L> {
+    open: Vec<Open<L>>,
+    parts: Vec<(NodeId, L)>,
+}
+
+impl<L> Default for Stacks<L> {
+    fn default() -> Stacks<L> {
+        Stacks { open: Vec::new(), parts: Vec::new() }
+    }
+}
+
 #[derive(Clone, Copy, Debug)]
-struct Open {
+struct Open<L> {
     node: NodeId,
-    /// Least error that others show here.
-    others: f32,
+    /// Least errors that others show here.
+    others: L,
     /// Terms of the block that still open, and those that see all of it.
     terms: Mask,
     inside: Mask,
@@ -42,16 +54,28 @@ impl Objective {
         weights: &[f64],
         scratch: &mut Scratch,
     ) -> f64 {
-        let (node, plan) = (tree.node_of(rep), standing.plan());
-        let error = tree.error(rep) as f32;
-        let mut others = tree.parent(node).map_or(f32::INFINITY, |p| plan.best_above(tree, p));
-        for other in tree.own(node) {
-            if other != rep && plan.contains(other) {
-                others = others.min(tree.error(other) as f32);
-            }
+        let Scratch { whole, by_element, visited } = scratch;
+        if tree.has_directions() {
+            self.marginal_of(tree, standing, rep, weights, by_element, visited)
+        } else {
+            self.marginal_of(tree, standing, rep, weights, whole, visited)
         }
-        scratch.visited += 1;
-        if error >= others || error >= standing.beneath(tree, node).shown {
+    }
+
+    fn marginal_of<L: Lanes>(
+        &self,
+        tree: &LodTree,
+        standing: &Standing,
+        rep: RepId,
+        weights: &[f64],
+        stacks: &mut Stacks<L>,
+        visited: &mut u64,
+    ) -> f64 {
+        let node = tree.node_of(rep);
+        let error = L::of(tree, rep);
+        let others = L::without(tree, standing.plan(), rep);
+        *visited += 1;
+        if !error.improves(&others) || !error.improves(&L::beneath(tree, standing, node)) {
             return 0.0;
         }
         let mut sum = 0.0;
@@ -59,28 +83,29 @@ impl Objective {
             let weights = &weights[block * 64..];
             let counts = terms.iter().zip(weights).enumerate().filter(|(_, (_, weight))| **weight > 0.0);
             let terms_left = counts.fold(0, |mask: Mask, (i, _)| mask | 1 << i);
-            scratch.stack.clear();
-            scratch.stack.push(Open { node, others, terms: terms_left, inside: 0 });
-            while let Some(open) = scratch.stack.pop() {
-                sum += self.visit(tree, standing, open, error, block, weights, scratch);
+            stacks.open.clear();
+            stacks.open.push(Open { node, others, terms: terms_left, inside: 0 });
+            while let Some(open) = stacks.open.pop() {
+                sum += self.visit(tree, standing, open, error, block, weights, stacks, visited);
             }
         }
         sum
     }
 
     #[expect(clippy::too_many_arguments, reason = "the state of the loop above, split off for its length")]
-    fn visit(
+    fn visit<L: Lanes>(
         &self,
         tree: &LodTree,
         standing: &Standing,
-        open: Open,
-        error: f32,
+        open: Open<L>,
+        error: L,
         block: usize,
         weights: &[f64],
-        scratch: &mut Scratch,
+        stacks: &mut Stacks<L>,
+        visited: &mut u64,
     ) -> f64 {
         let Open { node, others, mut terms, inside } = open;
-        scratch.visited += 1;
+        *visited += 1;
         let (middle, half) = (tree.centre(node), tree.half(node));
         let is_leaf = tree.is_leaf(node);
         let divided = !is_leaf && standing.plan().any_beneath(node);
@@ -109,19 +134,19 @@ impl Objective {
                 let most = tree.face_areas(node).dot(cosines) / (distance * distance);
                 weight = if distance > 0.0 { weight.min(most) } else { weight };
             }
+            let at = Looked { node, centre, half, reach: eye.reach(), sharpness };
             sum += weights[i]
                 * if divided {
-                    let direction = centre.normalize_or_zero();
-                    divide(tree, standing, node, weight, direction, error, others, sharpness, scratch)
+                    divide(tree, standing, &at, weight, error, others, &mut stacks.parts, visited)
                 } else {
-                    weight * added(error, others, sharpness)
+                    weight * error.added(&others, tree, &at)
                 };
         }
         if opened != 0 {
             for child in tree.children(node) {
-                let others = others.min(standing.plan().best_at(child));
-                if error < others && error < standing.beneath(tree, child).shown {
-                    scratch.stack.push(Open { node: child, others, terms: opened, inside: whole });
+                let others = others.least(L::at(standing.plan(), child));
+                if error.improves(&others) && error.improves(&L::beneath(tree, standing, child)) {
+                    stacks.open.push(Open { node: child, others, terms: opened, inside: whole });
                 }
             }
         }
@@ -129,44 +154,35 @@ impl Objective {
     }
 }
 
-fn added(error: f32, others: f32, sharpness: f64) -> f64 {
-    accuracy(f64::from(error), sharpness) - accuracy(f64::from(others), sharpness)
-}
-
 /// Σ of a group's weight × accuracy added, divided by projected area where something beneath it is shown by itself.
 #[expect(clippy::too_many_arguments, reason = "one call; grouping the inputs would only rename them")]
-fn divide(
+fn divide<L: Lanes>(
     tree: &LodTree,
     standing: &Standing,
-    node: NodeId,
+    at: &Looked,
     weight: f64,
-    direction: DVec3,
-    error: f32,
-    others: f32,
-    sharpness: f64,
-    scratch: &mut Scratch,
+    error: L,
+    others: L,
+    parts: &mut Vec<(NodeId, L)>,
+    visited: &mut u64,
 ) -> f64 {
-    let whole = projected_area(tree, node, direction);
-    if whole <= 0.0 {
-        return 0.0;
-    }
-    let density = weight / whole;
+    let Some(density) = L::density(tree, at, weight) else { return 0.0 };
     let mut sum = 0.0;
-    scratch.parts.clear();
-    scratch.parts.push((node, others));
-    while let Some((node, others)) = scratch.parts.pop() {
-        scratch.visited += 1;
+    parts.clear();
+    parts.push((at.node, others));
+    while let Some((node, others)) = parts.pop() {
+        *visited += 1;
         for child in tree.children(node) {
-            let others = others.min(standing.plan().best_at(child));
-            if error >= others {
+            let others = others.least(L::at(standing.plan(), child));
+            if !error.improves(&others) {
                 continue;
             }
             if standing.plan().any_beneath(child) {
-                if error < standing.beneath(tree, child).shown {
-                    scratch.parts.push((child, others));
+                if error.improves(&L::beneath(tree, standing, child)) {
+                    parts.push((child, others));
                 }
             } else {
-                sum += density * projected_area(tree, child, direction) * added(error, others, sharpness);
+                sum += error.added_to_part(&others, tree, child, at, density);
             }
         }
     }

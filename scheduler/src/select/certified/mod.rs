@@ -11,6 +11,7 @@
 
 mod bound;
 mod instance;
+mod lanes;
 mod marginal;
 mod objective;
 mod residents;

@@ -3,8 +3,10 @@
 //! Every resident keeps the loss last seen for it. A few are estimated anew at each tick, in turn; when room is made, the
 //! first is evaluated exactly, and goes only if it then still comes first.
 
+use super::lanes::Lanes;
 use super::search::{Ask, Search};
 use super::standing::Standing;
+use crate::benefit::element::Errors;
 use crate::lod_tree::RepId;
 use crate::select::discard::Victim;
 use crate::sparse::IdMap;
@@ -129,26 +131,30 @@ impl Residents {
 
     /// Guesses a loss: the area that nothing beneath shows, at the middle of the box, in the views that it meets.
     fn estimate(&mut self, ask: &Ask, standing: &Standing, place: usize) {
+        if ask.tree.has_directions() {
+            self.estimate_by::<Errors>(ask, standing, place);
+        } else {
+            self.estimate_by::<f32>(ask, standing, place);
+        }
+    }
+
+    fn estimate_by<L: Lanes>(&mut self, ask: &Ask, standing: &Standing, place: usize) {
         let Some(slot) = self.slots.get_mut(place) else { return };
         let (tree, rep) = (ask.tree, slot.rep);
         let node = tree.node_of(rep);
         let summary = standing.beneath(tree, node);
         let areas = tree.face_areas(node);
         let whole = areas.element_sum();
-        let error = tree.error(rep) as f32;
-        let bare = if error >= summary.shown || whole <= 0.0 {
+        let errors = L::of(tree, rep);
+        let bare = if !errors.improves(&L::beneath(tree, standing, node)) || whole <= 0.0 {
             0.0
         } else {
             (1.0 - f64::from(summary.covered) / whole).clamp(0.0, 1.0)
         };
-        let mut others = tree.parent(node).map_or(f32::INFINITY, |p| standing.plan().best_above(tree, p));
-        for other in tree.own(node).filter(|&r| r != rep && standing.plan().contains(r)) {
-            others = others.min(tree.error(other) as f32);
-        }
+        let others = L::without(tree, standing.plan(), rep);
         let (mut loss, mut in_view) = (0.0, false);
-        if bare > 0.0 && error < others {
-            let (centre, half) = (tree.centre(node), tree.half(node));
-            (loss, in_view) = ask.objective.guess(&self.weights, centre, half, areas, error, others);
+        if bare > 0.0 && errors.improves(&others) {
+            (loss, in_view) = ask.objective.guess(tree, &self.weights, node, &errors, &others);
         }
         slot.loss_per_byte = bare * loss / tree.decoded_bytes(rep).max(1) as f64;
         slot.of = self.sampling;

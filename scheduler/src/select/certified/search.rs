@@ -1,9 +1,10 @@
 //! Best first: the heap of what could still win.
 
-use super::bound::{ALL, Mask, Target};
+use super::bound::{ALL, Mask, ShownElements, Target};
 use super::marginal::Scratch;
 use super::objective::Objective;
 use super::standing::Standing;
+use crate::benefit::element;
 use crate::lod_tree::{LodTree, NodeId, RepId};
 use crate::sparse::IdMap;
 use std::cmp::Ordering;
@@ -250,12 +251,23 @@ impl Search {
         let (tree, link) = (ask.tree, &ask.link);
         self.evaluations += 1;
         let summary = standing.beneath(tree, node);
-        let worst_shown = shown.min(summary.shown);
+        let (worst_shown, elements) = if tree.has_directions() {
+            let above = standing.plan().elements_above(tree, node).errors;
+            let worst = element::least(&above, &standing.elements_beneath(node));
+            let elements = ShownElements::new(tree, node, &worst);
+            (elements.errors.iter().copied().fold(0.0, f32::max), Some(elements))
+        } else {
+            (shown.min(summary.shown), None)
+        };
         self.targets.clear();
         self.reps.clear();
         let mut least_wire = f32::INFINITY;
         for rep in tree.own(node) {
-            if (tree.error(rep) as f32) < worst_shown && !standing.plan().contains(rep) {
+            let improves = match &elements {
+                Some(elements) => element::improves(&element::errors(tree, rep), &elements.errors),
+                None => (tree.error(rep) as f32) < worst_shown,
+            };
+            if improves && !standing.plan().contains(rep) {
                 least_wire = least_wire.min((tree.wire_bytes(rep) as f32).next_down());
                 let density = tree.face_areas(node) / tree.wire_bytes(rep) as f64;
                 self.targets.push(Target::of_area(density, tree.error(rep) as f32, worst_shown));
@@ -276,7 +288,8 @@ impl Search {
         let earliest = link.first_byte_s + link.arrival_per_byte_s * f64::from(least_wire);
         ask.objective.weights(earliest, &mut self.weights);
         let (centre, half) = (tree.centre(node), tree.half(node));
-        let seen = ask.objective.bound(&self.weights, centre, half, mask, &self.targets, &mut self.out);
+        let (weights, targets) = (&self.weights, &self.targets);
+        let seen = ask.objective.bound(weights, centre, half, mask, targets, elements.as_ref(), &mut self.out);
         for (i, &rep) in self.reps.iter().enumerate() {
             let ratio = self.out[i] * tree.wire_bytes(rep) as f64 / link.cost(tree, &[rep]);
             if ratio > 0.0 {

@@ -1,6 +1,7 @@
 //! The planned set, with what is left to choose and how badly things are shown beneath each of its nodes.
 
 use crate::benefit::coverage::Coverage;
+use crate::benefit::element::{self, ELEMENTS, Errors};
 use crate::lod_tree::{Beneath, LodTree, NodeId, RepId};
 use crate::sparse::IdMap;
 
@@ -25,12 +26,15 @@ pub struct Standing {
     plan: Coverage,
     /// By node, where something is held beneath.
     summaries: IdMap<Summary>,
+    /// The same in a world with directions: by element, at least the largest error with which what is held strictly
+    /// beneath shows any part; 0 where there is no such surface.
+    elements: IdMap<Errors>,
 }
 
 impl Standing {
     /// What `plan` holds.
     pub fn new(tree: &LodTree, plan: Coverage) -> Standing {
-        let mut standing = Standing { plan, summaries: IdMap::default() };
+        let mut standing = Standing { plan, summaries: IdMap::default(), elements: IdMap::default() };
         let held: Vec<RepId> = standing.plan.iter().collect();
         // From the last node back, so that what lies beneath is known; ancestors shared by neighbours are done once more
         // for each, which stops as soon as nothing changes.
@@ -69,12 +73,19 @@ impl Standing {
         known.unwrap_or_else(|| Summary { left: tree.beneath_bounds(node), shown: f32::INFINITY, covered: 0.0 })
     }
 
+    /// By element, at least the largest error with which what is held strictly beneath shows any part of the node.
+    pub(super) fn elements_beneath(&self, node: NodeId) -> Errors {
+        let known = if self.plan.any_beneath(node) { self.elements.get(&node.0).copied() } else { None };
+        known.unwrap_or(element::NOTHING)
+    }
+
     /// Summarises the nodes above `node` anew.
     fn refresh(&mut self, tree: &LodTree, node: NodeId, added: bool) {
         let mut child = node;
         for above in tree.ancestors(node).skip(1) {
             if !self.plan.any_beneath(above) {
                 self.summaries.remove(&above.0);
+                self.elements.remove(&above.0);
                 child = above;
                 continue;
             }
@@ -92,12 +103,37 @@ impl Standing {
                     }
                 }
             };
-            if was == Some(is) {
+            let changes = tree.has_directions() && self.refresh_elements(tree, above, child, added);
+            if was == Some(is) && !changes {
                 return;
             }
             self.summaries.insert(above.0, is);
             child = above;
         }
+    }
+
+    /// As above, by element; whether anything has changed.
+    fn refresh_elements(&mut self, tree: &LodTree, above: NodeId, child: NodeId, added: bool) -> bool {
+        let was = self.elements.get(&above.0).copied();
+        let is = match tree.children(above).nth(CHILDREN_MAX) {
+            None => {
+                let of_children = tree.children(above).map(|child| self.elements_of_child(tree, child));
+                of_children.fold([0.0f32; ELEMENTS], |a, b| core::array::from_fn(|s| a[s].max(b[s])))
+            }
+            Some(_) => {
+                let was = self.elements_beneath(above);
+                let one = self.elements_of_child(tree, child);
+                if added { was } else { core::array::from_fn(|s| was[s].max(one[s])) }
+            }
+        };
+        self.elements.insert(above.0, is);
+        was != Some(is)
+    }
+
+    fn elements_of_child(&self, tree: &LodTree, child: NodeId) -> Errors {
+        let (own, beneath) = (self.plan.elements_at(child).errors, self.elements_beneath(child));
+        let surface = tree.surface(child);
+        core::array::from_fn(|s| if surface[s] > 0.0 { own[s].min(beneath[s]) } else { 0.0 })
     }
 
     fn summarise(&self, tree: &LodTree, node: NodeId) -> Summary {
@@ -117,12 +153,19 @@ impl Standing {
         let beneath = self.beneath(tree, child);
         let mut left = beneath.left;
         for rep in tree.own(child) {
-            if !self.plan.contains(rep) && (tree.error(rep) as f32) < own {
+            let improves = if tree.has_directions() {
+                element::improves(&element::errors(tree, rep), &self.plan.elements_at(child).errors)
+            } else {
+                (tree.error(rep) as f32) < own
+            };
+            if !self.plan.contains(rep) && improves {
                 left = left.union(tree.own_bounds(rep));
             }
         }
         let covered = if own < f32::INFINITY { tree.face_areas(child).element_sum() as f32 } else { beneath.covered };
-        Summary { left, shown: own.min(beneath.shown), covered }
+        // By element in a world with directions: a direction does not show any part.
+        let shown = if tree.has_directions() { f32::INFINITY } else { own.min(beneath.shown) };
+        Summary { left, shown, covered }
     }
 }
 

@@ -3,6 +3,7 @@
 
 use super::double::{Vector, atan2, cross, difference, dot, double, exp, minus, plus, ratio, sin_cos, times};
 use foresight_scheduler::benefit::accuracy::HALF_ACCURACY_PX;
+use foresight_scheduler::benefit::element::normals;
 use foresight_scheduler::integral::{AddedBenefit, Form};
 use glam::DVec3;
 use twofloat::TwoFloat;
@@ -109,6 +110,9 @@ impl Scene<'_> {
                 weight
             }
         };
+        if target.facet().is_some() {
+            weight *= self.share_of_element(&centre, half);
+        }
         if weight.hi() <= 0.0 {
             return double(0.0);
         }
@@ -133,6 +137,24 @@ impl Scene<'_> {
             }
         };
         weight * self.gain(distance)
+    }
+
+    /// The share of an element in what faces the eye: areas times the eye's height over their planes.
+    fn share_of_element(&self, centre: &Vector, half: [f64; 3]) -> TwoFloat {
+        let Some(facet) = self.benefit.target.facet() else { return double(1.0) };
+        let (mut own, mut whole) = (double(0.0), double(0.0));
+        for (s, (normal, area)) in normals().into_iter().zip(facet.surface).enumerate() {
+            let mut height = double(0.0);
+            for (k, along) in normal.to_array().into_iter().enumerate() {
+                height += TwoFloat::new_mul(along.abs(), half[k]) - centre[k] * along;
+            }
+            let seen = larger(height, double(0.0)) * f64::from(area);
+            whole += seen;
+            if s == usize::from(facet.element) {
+                own = seen;
+            }
+        }
+        if whole.hi() > 0.0 { ratio(own, whole) } else { double(0.0) }
     }
 
     /// a(g₁) − a(g₀) at a distance.
