@@ -7,7 +7,8 @@ use foresight_index::format::glb_compressed::Packing;
 use foresight_index::geometry::{GeometryLevel, GeometrySettings, levels};
 use foresight_index::octree::Cell;
 use foresight_index::orthoview::texture::Materials;
-use foresight_index::surface::{Spool, SpoolSettings, Surfaces};
+use foresight_index::surface::Surfaces;
+use foresight_index::surface::spool::{Spool, SpoolSettings};
 use foresight_sim::stopwatch::Stopwatch;
 use serde_json::json;
 

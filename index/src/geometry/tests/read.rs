@@ -8,7 +8,7 @@ fn read(glb: &[u8]) -> surface::Surfaces {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("level.glb");
     std::fs::write(&file, glb).expect("a file");
-    let progress: crate::world::Progress = Arc::new(|_, _| {});
+    let progress: crate::specification::Progress = Arc::new(|_, _| {});
     let source = surface::open(&file.to_string_lossy(), &progress).expect("a GLB");
     assert_eq!(source.pieces(), 1);
     source.load(0).expect("surfaces")
