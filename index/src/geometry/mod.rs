@@ -173,7 +173,7 @@ pub fn levels(
         if level.glb.len() as f64 > most {
             continue;
         }
-        let Some(measured) = workshop.measured(&shown) else { break };
+        let Some(measured) = workshop.measured(&shown, target) else { break };
         level.measured = measured;
         level.claimed = claimed;
         level.error = upwards(measured.upper.max(workshop.texel(&halvings)));
@@ -241,10 +241,11 @@ impl<'a> Workshop<'a> {
         reduced.map(|(group, &k)| group.texel * f64::from(1_u32 << k)).fold(0.0, f64::max)
     }
 
-    fn measured(&self, mesh: &LatticeMesh) -> Option<Bracket> {
+    /// `target` is the error that the level was made for, metres.
+    fn measured(&self, mesh: &LatticeMesh, target: f64) -> Option<Bracket> {
         let level = Nearest::over(mesh.triangles.iter().map(|&t| mesh.corners(t, self.lattice)).collect());
         let originals = Surface { tree: &self.originals, wholes: Some(&self.wholes) };
-        let absolute = f64::from(self.lattice.step) / 8.0;
+        let absolute = (f64::from(self.lattice.step) / 8.0).max(0.02 * target);
         let Bracket { lower, upper } = distance::error(&Surface { tree: &level, wholes: None }, &originals, absolute)?;
         let model = Model {
             origin: self.lattice.origin,

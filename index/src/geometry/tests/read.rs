@@ -10,12 +10,24 @@ fn read(glb: &[u8]) -> surface::Surfaces {
     std::fs::write(&file, glb).expect("a file");
     let progress: crate::specification::Progress = Arc::new(|_, _| {});
     let source = surface::open(&file.to_string_lossy(), &progress).expect("a GLB");
-    assert_eq!(source.pieces(), 1);
-    source.load(0).expect("surfaces")
+    // A piece for each primitive, with materials of its own.
+    let mut all = surface::Surfaces::default();
+    for piece in 0..source.pieces() {
+        let mut one = source.load(piece).expect("surfaces");
+        let (materials, textures) = (all.materials.materials.len(), all.materials.textures.len());
+        one.triangles.iter_mut().for_each(|t| t.material += materials as u32);
+        one.materials.materials.iter_mut().for_each(|m| m.texture = m.texture.map(|t| t + textures));
+        all.triangles.append(&mut one.triangles);
+        all.materials.materials.append(&mut one.materials.materials);
+        all.materials.textures.append(&mut one.materials.textures);
+        all.left_out.append(&mut one.left_out);
+    }
+    all
 }
 
 fn sorted(mut corners: Vec<[DVec3; 3]>) -> Vec<[[i64; 3]; 3]> {
-    let rounded = |at: DVec3| (at * 1e6).round().to_array().map(|v| v as i64);
+    // In steps of the lattice, which are 2⁻¹² m.
+    let rounded = |at: DVec3| (at * 4096.0).round().to_array().map(|v| v as i64);
     let mut out: Vec<_> = corners
         .drain(..)
         .map(|triangle| {
