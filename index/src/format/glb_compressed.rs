@@ -11,6 +11,7 @@ use meshopt::{encode_filter_oct, encode_index_buffer, encode_vertex_buffer_level
 use serde_json::{Map, Value, json};
 
 use super::glb::framed;
+use crate::orthoview::texture::linear;
 
 /// Up to this many vertices a part, indices are of 16 bits; 65535 restarts a primitive and names no vertex.
 const SHORT: usize = u16::MAX as usize;
@@ -37,6 +38,8 @@ pub struct Part {
     pub normals: Vec<[f32; 3]>,
     /// Shares of the texture, 65535 for all of it, one a position; or none.
     pub uv: Vec<[u16; 2]>,
+    /// sRGB, multiplied with everything else, one a position; or none.
+    pub tints: Vec<[u8; 3]>,
     /// Each index is less than the number of positions; counter-clockwise from the front.
     pub triangles: Vec<[u32; 3]>,
     /// Linear light, multiplied with the texture.
@@ -99,7 +102,8 @@ pub fn decoded_bytes(model: &Model<'_>) -> u64 {
     let index = if model.parts.iter().all(|part| part.positions.len() <= SHORT) { 2 } else { 4 };
     let part = |part: &Part| {
         let (position, normal, uv) = widths;
-        (part.positions.len() * position + part.normals.len() * normal + part.uv.len() * uv) as u64
+        (part.positions.len() * position + part.normals.len() * normal + part.uv.len() * uv + part.tints.len() * 8)
+            as u64
             + 3 * index * part.triangles.len() as u64
     };
     model.parts.iter().map(part).sum()
@@ -114,6 +118,7 @@ pub fn encode(model: &Model<'_>) -> Result<Vec<u8>, meshopt::Error> {
     let mut file = File { packing: model.packing, ..File::default() };
     let count = |of: fn(&Part) -> usize| parts.iter().map(|part| of(part)).collect::<Vec<usize>>();
     let (positions, normals, uv) = (count(|p| p.positions.len()), count(|p| p.normals.len()), count(|p| p.uv.len()));
+    let tints = count(|p| p.tints.len());
 
     let upright: Vec<[u16; 3]> = parts.iter().flat_map(|p| p.positions.iter().map(|&at| model.upright(at))).collect();
     let (mut bounds, mut first) = (Vec::new(), 0);
@@ -156,12 +161,18 @@ pub fn encode(model: &Model<'_>) -> Result<Vec<u8>, meshopt::Error> {
         }
         _ => Some(file.vertices(&shares, &bytes_of(shares.as_flattened(), u16::to_le_bytes), "NONE")?),
     };
+    // Linear light, in 16 bits so that the dark has steps.
+    let lights: Vec<[u16; 4]> = parts.iter().flat_map(|p| p.tints.iter().map(|tint| light(*tint))).collect();
+    let at_tints = match lights.is_empty() {
+        true => None,
+        false => Some(file.vertices(&lights, &bytes_of(lights.as_flattened(), u16::to_le_bytes), "NONE")?),
+    };
     let is_short = positions.iter().all(|&count| count <= SHORT);
     let indices: Vec<u32> = parts.iter().flat_map(|p| p.triangles.as_flattened().iter().copied()).collect();
     let most = positions.iter().copied().max().unwrap_or(0);
     let at_indices = file.indices(&indices, is_short, most)?;
 
-    let mut starts = [0; 4];
+    let mut starts = [0; 5];
     let mut primitives = Vec::new();
     let mut materials = Vec::new();
     for (i, part) in parts.iter().enumerate() {
@@ -186,12 +197,19 @@ pub fn encode(model: &Model<'_>) -> Result<Vec<u8>, meshopt::Error> {
             }
             attributes["TEXCOORD_0"] = file.add(accessor);
         }
+        if let Some(view) = at_tints.filter(|_| tints[i] > 0) {
+            let mut accessor = file.accessor(view, starts[4], 5123, tints[i], "VEC4");
+            accessor["normalized"] = json!(true);
+            attributes["COLOR_0"] = file.add(accessor);
+        }
         let kind = if is_short { 5123 } else { 5125 };
         let accessor = file.accessor(at_indices, starts[3], kind, 3 * part.triangles.len(), "SCALAR");
         let indices = file.add(accessor);
         primitives.push(json!({ "attributes": attributes, "indices": indices, "material": i }));
         materials.push(material(part));
-        for (start, count) in starts.iter_mut().zip([positions[i], normals[i], uv[i], 3 * part.triangles.len()]) {
+        for (start, count) in
+            starts.iter_mut().zip([positions[i], normals[i], uv[i], 3 * part.triangles.len(), tints[i]])
+        {
             *start += count;
         }
     }
@@ -279,6 +297,13 @@ fn material(part: &Part) -> Value {
         material["extensions"] = json!({ "KHR_materials_unlit": {} });
     }
     material
+}
+
+/// A tint as COLOR_0 has it.
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "0 to 1")]
+fn light(srgb: [u8; 3]) -> [u16; 4] {
+    let [r, g, b] = srgb.map(|byte| (f64::from(linear(byte)) * 65535.0).round() as u16);
+    [r, g, b, u16::MAX]
 }
 
 /// A component of a unit vector as a signed byte.

@@ -22,6 +22,8 @@ pub(super) struct Corner {
     pub(super) at: DVec3,
     /// Texture coordinates.
     pub(super) uv: DVec2,
+    /// Tint, linear light.
+    pub(super) tint: DVec3,
     /// The triangle's edges that it lies on, a bit each: edge i goes from corner i to corner i + 1.
     edges: u8,
     /// The planes that it was cut by, a bit each: lower and upper face along x, y, z.
@@ -50,8 +52,9 @@ impl Region {
 
     /// The part of a triangle in the region: a convex polygon in `polygon`, empty if there is none. What lies in a shared
     /// upper face as a whole belongs to the neighbour.
-    pub(super) fn clip(&self, corners: &[DVec3; 3], uv: &[DVec2; 3], polygon: &mut Vec<Corner>) {
+    pub(super) fn clip(&self, whole: &Whole, polygon: &mut Vec<Corner>) {
         polygon.clear();
+        let Whole { corners, uv, tint } = whole;
         let Aabb { min, max } = self.bounds;
         let (low, high) = (corners[0].min(corners[1]).min(corners[2]), corners[0].max(corners[1]).max(corners[2]));
         if low.cmpgt(max).any() || high.cmplt(min).any() || !(low.is_finite() && high.is_finite()) {
@@ -63,8 +66,7 @@ impl Region {
             }
         }
         let edges = [0b101, 0b011, 0b110];
-        polygon.extend((0..3).map(|i| Corner { at: corners[i], uv: uv[i], edges: edges[i], planes: 0 }));
-        let whole = Whole { corners, uv };
+        polygon.extend((0..3).map(|i| Corner { at: corners[i], uv: uv[i], tint: tint[i], edges: edges[i], planes: 0 }));
         let mut from = Vec::new();
         for plane in 0..6 {
             let (axis, upper) = (plane / 2, plane % 2 == 1);
@@ -96,12 +98,18 @@ impl Region {
 }
 
 /// A triangle as it was given.
-struct Whole<'a> {
-    corners: &'a [DVec3; 3],
-    uv: &'a [DVec2; 3],
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Whole {
+    pub(super) corners: [DVec3; 3],
+    pub(super) uv: [DVec2; 3],
+    /// Linear light.
+    pub(super) tint: [DVec3; 3],
 }
 
-impl Whole<'_> {
+/// A point of a triangle, with the weights of its corners.
+type Share = (DVec3, [f64; 3]);
+
+impl Whole {
     /// Where the side from `one` to `other` meets a plane.
     fn cut(&self, one: &Corner, other: &Corner, plane: usize, face: f64, bounds: &Aabb) -> Corner {
         let axis = plane / 2;
@@ -113,27 +121,34 @@ impl Whole<'_> {
             let first = planes.trailing_zeros() as usize;
             (planes != 0).then(|| self.on_line(first, bounds, axis, face)).flatten()
         };
-        let (mut at, uv) = known.unwrap_or_else(|| {
+        let Some((mut at, share)) = known else {
             let t = ((face - one.at[axis]) / (other.at[axis] - one.at[axis])).clamp(0.0, 1.0);
-            (one.at.lerp(other.at, t), one.uv.lerp(other.uv, t))
-        });
+            let mut at = one.at.lerp(other.at, t);
+            at[axis] = face;
+            let (uv, tint) = (one.uv.lerp(other.uv, t), one.tint.lerp(other.tint, t));
+            return Corner { at, uv, tint, edges, planes: planes | 1 << plane };
+        };
         at[axis] = face;
-        Corner { at, uv, edges, planes: planes | 1 << plane }
+        let uv = self.uv[0] * share[0] + self.uv[1] * share[1] + self.uv[2] * share[2];
+        let tint = self.tint[0] * share[0] + self.tint[1] * share[1] + self.tint[2] * share[2];
+        Corner { at, uv, tint, edges, planes: planes | 1 << plane }
     }
 
     /// A point of an edge, from its lesser end on.
-    fn on_edge(&self, edge: usize, axis: usize, face: f64) -> Option<(DVec3, DVec2)> {
+    fn on_edge(&self, edge: usize, axis: usize, face: f64) -> Option<Share> {
         let (mut a, mut b) = (edge, (edge + 1) % 3);
         if self.corners[b].to_array() < self.corners[a].to_array() {
             std::mem::swap(&mut a, &mut b);
         }
         let t = (face - self.corners[a][axis]) / (self.corners[b][axis] - self.corners[a][axis]);
         let at = self.corners[a] + (self.corners[b] - self.corners[a]) * t;
-        (at.is_finite() && (0.0..=1.0).contains(&t)).then(|| (at, self.uv[a].lerp(self.uv[b], t)))
+        let mut share = [0.0; 3];
+        (share[a], share[b]) = (1.0 - t, t);
+        (at.is_finite() && (0.0..=1.0).contains(&t)).then_some((at, share))
     }
 
     /// The triangle's point where two faces of the box along different axes meet.
-    fn on_line(&self, first: usize, bounds: &Aabb, axis: usize, face: f64) -> Option<(DVec3, DVec2)> {
+    fn on_line(&self, first: usize, bounds: &Aabb, axis: usize, face: f64) -> Option<Share> {
         let one = first / 2;
         if one == axis {
             return None;
@@ -155,7 +170,6 @@ impl Whole<'_> {
         }
         let [p, q, r] = self.corners;
         faces[third] = p[third] + (q[third] - p[third]) * v + (r[third] - p[third]) * w;
-        let uv = self.uv[0] + (self.uv[1] - self.uv[0]) * v + (self.uv[2] - self.uv[0]) * w;
-        Some((DVec3::from_array(faces), uv))
+        Some((DVec3::from_array(faces), [1.0 - v - w, v, w]))
     }
 }

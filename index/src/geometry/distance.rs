@@ -8,9 +8,11 @@
 //!
 //! The upper bound is rigorous up to the rounding of 64-bit arithmetic, whatever the search leaves undone: a piece of a
 //! triangle is nowhere farther from the other surface than its farthest corner is from any one triangle of it, because the
-//! distance to a convex set is convex; nor than its centroid's distance and its radius together. Pieces are halved, the one
-//! with the largest bound first, until no bound exceeds the largest distance found by more than the tolerance (Guthe, Borodin
-//! & Klein 2005; Tang, Lee & Kim 2009). Most triangles are settled by the triangle that settled the one before.
+//! distance to a convex set is convex; nor than its centroid's distance and its radius together. Pieces are cut, the one with
+//! the largest bound first, until no bound exceeds the largest distance found by more than the tolerance (Guthe, Borodin &
+//! Klein 2005; Tang, Lee & Kim 2009): across the sides of the triangle that they are nearest to, so that two triangulations of one
+//! plane are settled by as many pieces as they overlap in, else in halves. Most triangles are settled by the triangle that
+//! settled the one before.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -21,13 +23,15 @@ use crate::mesh::triangle::closest;
 
 /// Relative tolerance of the bracket.
 const RELATIVE: f64 = 0.05;
-/// Pieces that are looked at beyond one for each triangle, at most; then the bracket stays as wide as it is.
+/// Pieces that are looked at beyond one for each triangle, at most: so many, and so many for each triangle of either
+/// surface; then the bracket stays as wide as it is.
 const EXTRA_PIECES: usize = 20_000;
+const EXTRA_PIECES_EACH: usize = 4;
 /// Triangles that are looked at first, for a distance that settles others.
 const FIRST: usize = 512;
-/// Nodes that a search visits at most, and all together on average.
-const VISITS: u64 = 4096;
-const VISITS_MEAN: u64 = 128;
+/// Nodes that a search visits at most, and all together for each triangle of either surface.
+const VISITS: u64 = 1024;
+const VISITS_EACH: u64 = 128;
 
 /// A distance that is known to lie in an interval, metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -61,6 +65,8 @@ struct Piece {
     age: usize,
     corners: Triangle,
     whole: f64,
+    /// Place of the triangle that is nearest to its centroid, as far as is known.
+    near: u32,
 }
 
 impl PartialEq for Piece {
@@ -89,18 +95,28 @@ struct Way<'a> {
     absolute: f64,
     /// Largest distance found.
     lower: f64,
-    /// Largest bound among pieces that need no halving.
+    /// Largest bound among pieces that need no cutting.
     settled: f64,
     /// Place of the triangle that was the last to be nearest.
     hint: u32,
+    /// Pieces that may be made.
+    extra: usize,
     /// Nodes that may yet be visited.
     visits: u64,
 }
 
 impl Way<'_> {
     fn new(other: &Nearest, known: f64, absolute: f64, parts: usize) -> Way<'_> {
-        let visits = VISITS_MEAN * (parts + EXTRA_PIECES) as u64;
-        Way { other, absolute, lower: known, settled: 0.0, hint: 0, visits }
+        let extra = EXTRA_PIECES + EXTRA_PIECES_EACH * (parts + other.len());
+        Way {
+            other,
+            absolute,
+            lower: known,
+            settled: 0.0,
+            hint: 0,
+            extra,
+            visits: VISITS_EACH * (parts + other.len()) as u64 + VISITS * FIRST as u64,
+        }
     }
 
     /// The largest upper bound that is near enough to the largest distance found.
@@ -163,17 +179,19 @@ impl Way<'_> {
             let (corners, number) = surface.tree.at(place as u32);
             let whole = whole(number);
             let upper = self.look(corners, whole);
-            self.sort(Piece { upper, age: made, corners: *corners, whole }, &mut pieces);
+            self.sort(Piece { upper, age: made, corners: *corners, whole, near: self.hint }, &mut pieces);
             made += 1;
         }
-        for _ in 0..EXTRA_PIECES / 2 {
+        let end = made + self.extra;
+        while made < end {
             if pieces.peek().is_none_or(|piece: &Piece| piece.upper <= self.allowed()) {
                 break;
             }
-            let Some(Piece { upper: bound, corners, whole, .. }) = pieces.pop() else { break };
-            for corners in halves(corners) {
-                let upper = self.look(&corners, whole).min(bound);
-                self.sort(Piece { upper, age: made, corners, whole }, &mut pieces);
+            let Some(Piece { upper: bound, corners, whole, near, .. }) = pieces.pop() else { break };
+            let (parts, count) = across(&corners, self.other.at(near).0).unwrap_or_else(|| halves(corners));
+            for corners in &parts[..count] {
+                let upper = self.look(corners, whole).min(bound);
+                self.sort(Piece { upper, age: made, corners: *corners, whole, near: self.hint }, &mut pieces);
                 made += 1;
             }
         }
@@ -190,8 +208,41 @@ impl Way<'_> {
     }
 }
 
+/// Parts of a triangle, and how many there are.
+type Parts = ([Triangle; 3], usize);
+
+/// A triangle cut by the plane that stands on a side of another, of those that part it the one beyond which it reaches farthest.
+/// `None` if none parts it.
+fn across(corners: &Triangle, other: &Triangle) -> Option<Parts> {
+    let normal = (other[1] - other[0]).cross(other[2] - other[0]);
+    let mut best: Option<(f64, [f64; 3])> = None;
+    for i in 0..3 {
+        let along = other[(i + 1) % 3] - other[i];
+        let outwards = along.cross(normal).normalize_or_zero();
+        let heights = corners.map(|corner| outwards.dot(corner - other[i]));
+        let (low, high) = heights.iter().fold((0.0_f64, 0.0_f64), |(low, high), &h| (low.min(h), high.max(h)));
+        // Neither part a sliver.
+        let parts = low < -1e-3 * high && high > -1e-3 * low && high.is_finite() && low.is_finite();
+        if parts && best.is_none_or(|(most, _)| high > most) {
+            best = Some((high, heights));
+        }
+    }
+    let (_, heights) = best?;
+    // The corner that lies on a side of its own.
+    let alone = (0..3).find(|&i| {
+        let beyond = |h: f64| h > 0.0;
+        beyond(heights[i]) != beyond(heights[(i + 1) % 3]) && beyond(heights[i]) != beyond(heights[(i + 2) % 3])
+    })?;
+    let (next, last) = ((alone + 1) % 3, (alone + 2) % 3);
+    let cut =
+        |to: usize| corners[alone].lerp(corners[to], (heights[alone] / (heights[alone] - heights[to])).clamp(0.0, 1.0));
+    let (one, two) = (cut(next), cut(last));
+    let parts = [[corners[alone], one, two], [one, corners[next], corners[last]], [one, corners[last], two]];
+    parts.as_flattened().iter().all(|corner| corner.is_finite()).then_some((parts, 3))
+}
+
 /// A triangle halved at its longest side.
-fn halves([a, b, c]: Triangle) -> [Triangle; 2] {
+fn halves([a, b, c]: Triangle) -> Parts {
     let (ab, bc, ca) = ((b - a).length_squared(), (c - b).length_squared(), (a - c).length_squared());
     let [a, b, c] = if ab >= bc && ab >= ca {
         [a, b, c]
@@ -201,5 +252,5 @@ fn halves([a, b, c]: Triangle) -> [Triangle; 2] {
         [c, a, b]
     };
     let middle = 0.5 * (a + b);
-    [[a, middle, c], [middle, b, c]]
+    ([[a, middle, c], [middle, b, c], [b; 3]], 2)
 }

@@ -56,11 +56,13 @@ impl Lattice {
     }
 }
 
-/// A vertex: where it is, what it shows and in which group.
+/// A vertex: where it is, what it shows there and in which group.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) struct Vertex {
     pub(super) at: [u16; 3],
     pub(super) uv: [u16; 2],
+    /// sRGB.
+    pub(super) tint: [u8; 3],
     pub(super) group: u32,
 }
 
@@ -87,7 +89,7 @@ impl LatticeMesh {
             }
             let triangle = std::array::from_fn(|i| {
                 let uv = group.texture.map_or([0; 2], |(_, frame)| frame.narrowed(piece.uv[i]));
-                let vertex = Vertex { at: at[i], uv, group: piece.group };
+                let vertex = Vertex { at: at[i], uv, tint: piece.tint[i], group: piece.group };
                 *known.entry(vertex).or_insert_with(|| {
                     mesh.vertices.push(vertex);
                     mesh.vertices.len() as u32 - 1

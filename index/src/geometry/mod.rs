@@ -10,6 +10,7 @@ pub mod distance;
 mod frame;
 mod lattice;
 mod nearest;
+mod normals;
 mod parts;
 mod simplify;
 mod soup;
@@ -43,6 +44,9 @@ pub struct GeometrySettings {
     pub least_bytes: usize,
     /// Texels across a level's error. Larger values make textures sharper and files larger.
     pub texels: f64,
+    /// Whether viewers light what they show: with a normal a vertex. Without, colours are shown as they are, as orthoviews
+    /// show them.
+    pub lit: bool,
     /// Quality of JPEG textures, 1 to 100.
     pub jpeg_quality: u8,
     /// How vertices and indices are stored.
@@ -57,6 +61,7 @@ impl Default for GeometrySettings {
             gain: 0.7,
             least_bytes: 2048,
             texels: 1.0,
+            lit: false,
             jpeg_quality: 85,
             packing: Packing::Compressed,
         }
@@ -168,7 +173,7 @@ pub fn levels(
         if level.glb.len() as f64 > most {
             continue;
         }
-        let Some(measured) = workshop.measured(&shown) else { break };
+        let Some(measured) = workshop.measured(&shown, target) else { break };
         level.measured = measured;
         level.claimed = claimed;
         level.error = upwards(measured.upper.max(workshop.texel(&halvings)));
@@ -236,10 +241,11 @@ impl<'a> Workshop<'a> {
         reduced.map(|(group, &k)| group.texel * f64::from(1_u32 << k)).fold(0.0, f64::max)
     }
 
-    fn measured(&self, mesh: &LatticeMesh) -> Option<Bracket> {
+    /// `target` is the error that the level was made for, metres.
+    fn measured(&self, mesh: &LatticeMesh, target: f64) -> Option<Bracket> {
         let level = Nearest::over(mesh.triangles.iter().map(|&t| mesh.corners(t, self.lattice)).collect());
         let originals = Surface { tree: &self.originals, wholes: Some(&self.wholes) };
-        let absolute = f64::from(self.lattice.step) / 8.0;
+        let absolute = (f64::from(self.lattice.step) / 8.0).max(0.02 * target);
         let Bracket { lower, upper } = distance::error(&Surface { tree: &level, wholes: None }, &originals, absolute)?;
         let model = Model {
             origin: self.lattice.origin,
@@ -290,6 +296,8 @@ impl<'a> Workshop<'a> {
 
     /// A group's triangles in the order that caches and the compressor like.
     fn part(&self, mesh: &LatticeMesh, group: &Group<'_>) -> Part {
+        let shaded = self.settings.lit.then(|| normals::shaded(mesh, self.lattice));
+        let mesh = shaded.as_ref().map_or(mesh, |(mesh, _)| mesh);
         let indices: Vec<u32> = mesh.triangles.as_flattened().to_vec();
         let indices = optimize_vertex_cache(&indices, mesh.vertices.len());
         let number = optimize_vertex_fetch_remap(&indices, mesh.vertices.len());
@@ -299,10 +307,15 @@ impl<'a> Workshop<'a> {
         }
         let vertices = || order.iter().map(|&vertex| &mesh.vertices[vertex]);
         let uv = if group.texture.is_some() { vertices().map(|v| v.uv).collect() } else { Vec::new() };
+        let is_tinted = mesh.vertices.iter().any(|v| v.tint != [255; 3]);
+        let tints = if is_tinted { vertices().map(|v| v.tint).collect() } else { Vec::new() };
+        let normals = shaded.iter().flat_map(|(_, normals)| order.iter().map(|&vertex| normals[vertex])).collect();
         let renamed = |t: &[u32]| [t[0], t[1], t[2]].map(|vertex| number[vertex as usize]);
         Part {
             positions: vertices().map(|v| v.at).collect(),
+            normals,
             uv,
+            tints,
             triangles: indices.chunks_exact(3).map(renamed).collect(),
             base: group.material.base,
             cutoff: if group.texture.is_some() { group.material.cutoff } else { 0.0 },

@@ -11,9 +11,11 @@ use super::soup::Group;
 
 /// How much a texture's shift along the surface counts against a shift of the surface.
 const TEXTURE_WEIGHT: f32 = 0.5;
+/// Change of tint, of 1, that counts as much as the error that is allowed.
+const TINT_ALLOWED: f32 = 0.25;
 /// Σ of the squares of the vertices' valences above which vertices are clustered instead: collapsing takes time
 /// proportional to it.
-const VALENCES_MAX: u64 = 1 << 31;
+const VALENCES_MAX: u64 = 1 << 28;
 
 /// A mesh, and the error that the library claims for it against what it was made of, metres.
 pub(super) struct Simplified {
@@ -65,17 +67,25 @@ pub(super) fn simplified(mesh: &LatticeMesh, groups: &[Group<'_>], lattice: &Lat
             #[expect(clippy::cast_possible_truncation, reason = "steps")]
             std::array::from_fn(|i| (f64::from(vertex.uv[i]) / 65535.0 * steps[i]) as f32)
         };
-        let shifts: Vec<[f32; 2]> = kept.vertices.iter().map(shift).collect();
-        let weights = [TEXTURE_WEIGHT / extent; 2];
+        let attributes: Vec<[f32; 5]> = kept
+            .vertices
+            .iter()
+            .map(|vertex| {
+                let ([u, v], [r, g, b]) = (shift(vertex), vertex.tint.map(|byte| f32::from(byte) / 255.0));
+                [u, v, r, g, b]
+            })
+            .collect();
+        let (texture, tint) = (TEXTURE_WEIGHT / extent, limit / (TINT_ALLOWED * extent));
+        let weights = [texture, texture, tint, tint, tint];
         let Ok(vertices) = VertexDataAdapter::new(typed_to_bytes(&positions), 12, 0) else {
             return Simplified { mesh: kept, claimed: dropped };
         };
         simplify_with_attributes_and_locks(
             &indices,
             &vertices,
-            shifts.as_flattened(),
+            attributes.as_flattened(),
             &weights,
-            8,
+            20,
             &locks,
             0,
             limit,

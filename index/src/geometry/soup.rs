@@ -5,12 +5,12 @@ use std::collections::BTreeMap;
 use glam::{DVec2, DVec3};
 
 use super::GeometryError;
-use super::clip::Region;
+use super::clip::{Region, Whole};
 use super::frame::Frame;
 use crate::mesh::Triangle;
 use crate::octree::{Cell, Octree};
 use crate::orthoview::raster;
-use crate::orthoview::texture::{Material, Materials, Texture};
+use crate::orthoview::texture::{Material, Materials, Texture, encoded, linear};
 
 /// Most triangles of a cell after clipping.
 pub const TRIANGLES_MAX: usize = 1 << 24;
@@ -33,6 +33,8 @@ pub(super) struct Piece {
     /// Metres from the cell's least corner.
     pub(super) corners: Triangle,
     pub(super) uv: [DVec2; 3],
+    /// sRGB.
+    pub(super) tint: [[u8; 3]; 3],
     pub(super) group: u32,
 }
 
@@ -43,8 +45,8 @@ pub(super) struct Soup<'a> {
     pub(super) groups: Vec<Group<'a>>,
 }
 
-/// What makes triangles look alike: texture by mesh and number, base colour, cutoff, sides.
-type Key = (Option<(usize, usize)>, [u32; 3], u32, bool);
+/// What makes triangles look alike: texture by its place in memory, base colour, cutoff, sides. Looked up only.
+type Key = (Option<usize>, [u32; 3], u32, bool);
 
 /// The pieces of `meshes` in a cell, in their order; groups in the order of their first piece.
 pub(super) fn gathered<'a>(
@@ -57,18 +59,20 @@ pub(super) fn gathered<'a>(
     let mut soup = Soup::default();
     let mut known: BTreeMap<Key, u32> = BTreeMap::new();
     let mut polygon = Vec::new();
-    for (mesh, (triangles, materials)) in meshes.iter().enumerate() {
+    for (triangles, materials) in meshes {
         // Triangles of a material tend to follow each other.
         let mut last: Option<((u32, bool), u32)> = None;
         for triangle in *triangles {
-            region.clip(&triangle.corners, &triangle.uv.map(sound), &mut polygon);
+            let light = |srgb: [u8; 3]| DVec3::from_array(srgb.map(|byte| f64::from(linear(byte))));
+            let (uv, tint) = (triangle.uv.map(sound), triangle.tint.map(light));
+            region.clip(&Whole { corners: triangle.corners, uv, tint }, &mut polygon);
             if polygon.is_empty() {
                 continue;
             }
             let looks = (triangle.material, triangle.two_sided);
             let group = match last.filter(|(of, _)| *of == looks) {
                 Some((_, group)) => group,
-                None => group(&mut soup.groups, &mut known, mesh, materials, looks),
+                None => group(&mut soup.groups, &mut known, materials, looks),
             };
             last = Some((looks, group));
             let found = polygon.len() - 2;
@@ -78,7 +82,11 @@ pub(super) fn gathered<'a>(
             for i in 0..found {
                 let fan = [polygon[0], polygon[i + 1], polygon[i + 2]];
                 let corners = fan.map(|c| c.at - origin);
-                soup.pieces.push(Piece { corners, uv: fan.map(|c| c.uv), group });
+                #[expect(clippy::cast_possible_truncation, reason = "0 to 1")]
+                let srgb = |tint: DVec3| tint.to_array().map(|light| encoded(light as f32));
+                let tint =
+                    if triangle.tint == raster::Triangle::WHITE { triangle.tint } else { fan.map(|c| srgb(c.tint)) };
+                soup.pieces.push(Piece { corners, uv: fan.map(|c| c.uv), tint, group });
             }
         }
     }
@@ -94,7 +102,6 @@ fn sound(uv: DVec2) -> DVec2 {
 fn group<'a>(
     groups: &mut Vec<Group<'a>>,
     known: &mut BTreeMap<Key, u32>,
-    mesh: usize,
     materials: &'a Materials,
     (number, two_sided): (u32, bool),
 ) -> u32 {
@@ -103,10 +110,15 @@ fn group<'a>(
     if !(material.cutoff.is_finite() && material.cutoff >= 0.0) {
         material.cutoff = 0.0;
     }
-    let texture = material.texture.and_then(|t| Some((t, materials.textures.get(t)?.as_deref()?)));
-    let key = (texture.map(|(t, _)| (mesh, t)), material.base.map(f32::to_bits), material.cutoff.to_bits(), two_sided);
+    let texture = material.texture.and_then(|t| materials.textures.get(t)?.as_deref());
+    let key = (
+        texture.map(|texture| std::ptr::from_ref(texture) as usize),
+        material.base.map(f32::to_bits),
+        material.cutoff.to_bits(),
+        two_sided,
+    );
     *known.entry(key).or_insert_with(|| {
-        let texture = texture.map(|(_, texture)| (texture, Frame::default()));
+        let texture = texture.map(|texture| (texture, Frame::default()));
         groups.push(Group { material, two_sided, texture, texel: f64::INFINITY });
         groups.len() as u32 - 1
     })

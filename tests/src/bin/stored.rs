@@ -8,13 +8,14 @@ use foresight_index::orthoview::Direction;
 use foresight_tests::stored::headline::Plan as Headline;
 use foresight_tests::stored::scene::Scene;
 use foresight_tests::stored::sizes::Sizes;
-use foresight_tests::stored::{Fault, Findings, codec, connectivity, correct, headline, linear, storage};
+use foresight_tests::stored::{Fault, Findings, codec, connectivity, correct, headline, levels, linear, storage};
 
 /// Measures orthoviews: whether they are right, what they cost, how building grows, and what a moving viewer needs
 #[derive(Debug, Parser)]
 #[command(
     after_help = "Examples:\n  stored correct\n  stored correct --world TILESET --leaf 16 --pixels 256 --report out\n  \
                         stored codecs --world city:blocks=4\n  stored linear --blocks 2,4,8,16 --city pitch=40m,street=8m --leaf 40 --pixels 32 --count --report out\n  stored storage\n  \
+                        stored levels --world TILESET --leaf 32\n  \
                         stored headline --json"
 )]
 struct Cli {
@@ -109,6 +110,18 @@ enum Figure {
         #[arg(long = "case", value_name = "CASE", default_values_t = ["city:blocks=8;200;512".to_owned(), "city:blocks=8;100;128".to_owned()])]
         cases: Vec<String>,
     },
+    /// Levels of detail of leaves: bytes and measured errors, packings, the simplifier's claims, triangles a second
+    Levels {
+        /// A mesh, tileset or city model, or the parameters of a generated world
+        #[arg(long, default_value = "city:blocks=4", value_name = "WORLD")]
+        world: String,
+        /// Side of a leaf, metres
+        #[arg(long, default_value_t = 64.0, value_name = "METRES")]
+        leaf: f64,
+        /// Leaves that are looked at, at most
+        #[arg(long, default_value_t = 64, value_name = "N")]
+        leaves: usize,
+    },
     /// Cells and bandwidth as the world grows, [DRVW] Table 1 and Figure 6, time to a first view
     Headline {
         #[command(flatten)]
@@ -169,6 +182,7 @@ fn measured(figure: Figure) -> Result<Findings, Fault> {
                 .collect::<Result<_, Fault>>()?;
             storage::findings(&scenes)
         }
+        Figure::Levels { world, leaf, leaves } => levels::measure(&world, leaf, leaves),
         Figure::Headline { world, areas, trips, seconds, runs, run_seconds, broadband, seed } => {
             let sizes = Sizes::measured(&world.open()?)?;
             headline::findings(&sizes, &Headline { areas, trips, seconds, table: (run_seconds, runs), broadband, seed })

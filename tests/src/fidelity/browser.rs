@@ -65,8 +65,8 @@ pub enum BrowserError {
 /// Chromium, with the viewers' packages installed.
 #[derive(Clone, Debug)]
 pub struct Browser {
-    program: PathBuf,
-    packages: PathBuf,
+    pub(super) program: PathBuf,
+    pub(super) packages: PathBuf,
 }
 
 /// What the page reports.
@@ -147,11 +147,11 @@ impl Browser {
 }
 
 /// A process that ends with its owner.
-struct Running(Child);
+pub(super) struct Running(pub(super) Child);
 
 impl Running {
     /// What the page says, or that it said nothing in time, or that the browser has ended.
-    fn hear(&mut self, server: &Server, limit: Duration) -> Result<Said, BrowserError> {
+    pub(super) fn hear(&mut self, server: &Server, limit: Duration) -> Result<Said, BrowserError> {
         let clock = Stopwatch::start();
         loop {
             if let Ok(said) = server.said.recv_timeout(Duration::from_millis(200)) {

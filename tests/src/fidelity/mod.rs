@@ -17,6 +17,7 @@
 
 pub(crate) mod browser;
 mod case;
+mod models;
 mod order;
 mod page;
 mod server;
@@ -29,6 +30,7 @@ use serde::Serialize;
 
 pub use browser::{Browser, BrowserError, packages_folder};
 pub use case::{Case, CaseError, cases};
+pub use models::Loaded;
 pub use order::{kendall, spearman};
 
 /// A real viewer.

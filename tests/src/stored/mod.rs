@@ -5,6 +5,7 @@ pub mod codec;
 pub mod connectivity;
 pub mod correct;
 pub mod headline;
+pub mod levels;
 pub mod linear;
 pub mod picture;
 pub mod plot;

@@ -3,6 +3,7 @@
 mod cut;
 mod hostile;
 mod measured;
+mod read;
 
 use super::*;
 use crate::orthoview::raster::Triangle;
