@@ -435,7 +435,7 @@ mod tests {
     fn a_folder_with_nothing_known() {
         let folder = tempfile::tempdir().unwrap();
         let message = open(folder.path()).unwrap_err().to_string();
-        assert!(message.contains("none of tileset.json, city.json"), "{message}");
+        assert!(message.contains("tileset.json, city.json"), "{message}");
         std::fs::write(folder.path().join("city.json"), "").unwrap();
         let message = open(folder.path()).unwrap_err().to_string();
         assert!(message.contains("city.json: nothing in it; expected"), "{message}");
