@@ -182,7 +182,7 @@ async fn read(
         Err(error) => return End { reason: "refused", error: Some(error) },
     };
     let gone = Gone { session: session.clone(), outgoing: outgoing.clone() };
-    let end = frames(host, (&session, &outgoing), (messages, bytes), stream, limits, encoding).await;
+    let end = frames(host, (&session, outgoing), (messages, bytes), stream, limits, encoding).await;
     drop(gone);
     end
 }
