@@ -42,6 +42,9 @@ pub struct Scene {
     _folder: Option<tempfile::TempDir>,
 }
 
+/// Levels of detail of what stands in a leaf, finest first, and its height in metres.
+pub type Standing = (Vec<Geometry>, f64);
+
 /// What a leaf, or any cell, holds.
 pub struct Holding {
     /// A content each.
@@ -154,7 +157,7 @@ impl Scene {
     ///
     /// # Errors
     /// A tileset that cannot be opened.
-    pub fn geometry_by_leaf(&self) -> Result<BTreeMap<[u64; 3], (Vec<Geometry>, f64)>, Fault> {
+    pub fn geometry_by_leaf(&self) -> Result<BTreeMap<[u64; 3], Standing>, Fault> {
         let world = foresight_index::world::open(&self.file).map_err(|e| Fault::new(&self.name, e))?;
         let tree = &world.tree;
         let mut things: BTreeMap<[u64; 3], Vec<Vec<RepId>>> = BTreeMap::new();

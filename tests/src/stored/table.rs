@@ -65,7 +65,7 @@ fn shown(value: &Value) -> String {
         Value::Null => "–".to_owned(),
         Value::Number(number) => match (number.as_u64(), number.as_f64()) {
             (Some(whole), _) => whole.to_string(),
-            (None, Some(v)) if v == 0.0 => "0".to_owned(),
+            (None, Some(0.0)) => "0".to_owned(),
             (None, Some(v)) => {
                 let digits = (3.0 - libm::floor(libm::log10(v.abs()))).clamp(0.0, 9.0) as usize;
                 format!("{v:.digits$}")
