@@ -21,11 +21,11 @@ fn generate(folder: &Path, blocks: &str) {
     assert_eq!(ended.code, Some(0), "{}", ended.stderr);
 }
 
-const QUICK: [&str; 9] =
-    ["--input", "city/tileset.json", "--leaf", "16", "--pixels", "16", "--directions", "3", "--no-geometry"];
+const QUICK: [&str; 7] = ["--input", "city/tileset.json", "--leaf", "16", "--directions", "3", "--no-geometry"];
 
 fn arguments<'a>(out: &'a str, more: &[&'a str]) -> Vec<&'a str> {
-    [&["build"], &QUICK[..], &["--out", out, "--json", "--quiet"], more].concat()
+    let pixels: &[&str] = if more.contains(&"--pixels") { &[] } else { &["--pixels", "16"] };
+    [&["build"], &QUICK[..], &["--out", out, "--json", "--quiet"], pixels, more].concat()
 }
 
 fn build(folder: &Path, out: &str, more: &[&str]) -> Value {
@@ -122,7 +122,7 @@ fn a_world_is_inspected_replayed_served_and_rebuilt() {
         foresight_index::format::orthoview::decode(&bytes).expect("an orthoview");
     }
     let server = Server::start(folder, &["--world", "world"]);
-    let (status, body) = server.get("/worlds/world");
+    let (status, body) = server.get("/worlds");
     assert!(status == 200 && body.contains("\"files\"") && body.contains("stored world"), "{status} {body}");
     server.kill();
 
@@ -146,8 +146,7 @@ fn what_cannot_be_built_leaves_what_is_published() {
     let folder = folder.path();
     input::write_world(folder);
     let given = |more: &[&'static str]| {
-        [&["build", "--input", "tileset.json", "--out", "world", "--leaf", "20", "--pixels", "32", "--quiet"], more]
-            .concat()
+        [&["build", "--input", "tileset.json", "--out", "world", "--leaf", "20", "--quiet"], more].concat()
     };
     let built = program::run("foresight-server", folder, &given(&[]), &[], LIMIT);
     assert_eq!(built.code, Some(0), "{}", built.stderr);
