@@ -10,6 +10,10 @@ use glam::DVec3;
 /// Most levels above the leaves: 2⁴⁰ leaves of a millimetre span a million kilometres.
 pub const LEVELS_MAX: u32 = 40;
 
+/// Share of a leaf's side by which a world may be longer than its leaves: what rounding adds makes no further leaf. It is
+/// less than a pixel of an orthoview.
+const SLACK: f64 = 1e-4;
+
 /// A grid of leaves with everything above it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Octree {
@@ -71,6 +75,7 @@ impl Octree {
         }
         let splits = (max - min)
             .to_array()
+            .map(|length| length - SLACK * leaf_side)
             .map(|length| (0..=LEVELS_MAX).find(|&n| (1u64 << n) as f64 * leaf_side >= length).unwrap_or(LEVELS_MAX));
         Ok(Octree { origin: min, leaf_side, splits })
     }
@@ -233,6 +238,9 @@ mod tests {
         }
         assert!(Octree::over(bounds(0.0, 1e13), 1.0).is_err());
         assert!(Octree::over(bounds(0.0, 1.0), f64::NAN).is_err());
+        // What rounding adds makes no leaf.
+        assert_eq!(octree(DVec3::new(400.000_03, 400.0, 99.0), 100.0).splits(), [2, 2, 0]);
+        assert_eq!(octree(DVec3::new(400.1, 400.0, 99.0), 100.0).splits(), [3, 2, 0]);
         // A point is a world of one leaf.
         assert_eq!(Octree::over(bounds(5.0, 5.0), 1.0).expect("a point").root().level, 0);
     }

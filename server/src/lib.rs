@@ -1,6 +1,7 @@
-//! Serves worlds over HTTP and hosts schedulers for the clients that fly through them.
+//! Builds worlds, serves them over HTTP and hosts schedulers for the clients that fly through them.
 
 pub mod browser;
+pub mod build;
 pub mod clock;
 pub mod config;
 pub mod http;

@@ -3,14 +3,14 @@
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use foresight_server::serve;
+use foresight_server::{build, serve};
 
-/// Serves worlds over HTTP and tells clients what to fetch next.
+/// Builds worlds, serves them over HTTP, and tells clients what to fetch next.
 #[derive(Debug, Parser)]
 #[command(
     name = "foresight-server",
     version,
-    after_help = "Examples:\n  foresight-server serve --world tiles/\n  foresight-server serve --world old=tiles-2024/ --world new=tiles/ --link constant:20Mbit,40ms"
+    after_help = "Examples:\n  foresight-server build --input tiles/tileset.json --out world/\n  foresight-server serve --world tiles/\n  foresight-server serve --world old=tiles-2024/ --world new=tiles/ --link constant:20Mbit,40ms"
 )]
 struct Cli {
     #[command(subcommand)]
@@ -19,13 +19,18 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    /// Builds a stored world: orthoviews and geometry that any web server can serve.
+    Build(Box<build::BuildArgs>),
     /// Serves worlds, and hosts sessions for clients that fly through them.
     Serve(Box<serve::ServeArgs>),
 }
 
 fn main() -> ExitCode {
-    let Cli { command: Command::Serve(arguments) } = Cli::parse();
-    match serve::run(&arguments) {
+    let ended = match Cli::parse().command {
+        Command::Build(arguments) => build::run(&arguments),
+        Command::Serve(arguments) => serve::run(&arguments),
+    };
+    match ended {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {}", message(&error));

@@ -103,7 +103,7 @@ fn bounds_hold_and_methods_agree_by_element() {
     let mut random = SplitMix64(13);
     let split = Method::GaussLegendre { nodes: 8, panels: 4, split: true };
     let (mut errors, mut seen, mut shared) = (Vec::new(), 0, 0);
-    for i in 0..3000 {
+    for i in 0..400 {
         let benefit = candidate_by_element(&mut random);
         let certified = enclosed(&benefit, if i % 2 == 0 { 1e-3 } else { 1e-6 }, 2000);
         holds(&benefit, &certified).unwrap_or_else(|error| panic!("{i}: {error}"));
@@ -122,7 +122,7 @@ fn bounds_hold_and_methods_agree_by_element() {
         }
     }
     errors.sort_by(f64::total_cmp);
-    assert!(seen > 800 && shared > 300, "{seen} {shared}");
+    assert!(seen > 100 && shared > 40, "{seen} {shared}");
     assert!(errors[errors.len() * 99 / 100] <= 1e-3, "{:e}", errors[errors.len() * 99 / 100]);
 }
 

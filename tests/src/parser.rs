@@ -1,6 +1,7 @@
 //! The byte-level parsers under one signature, for the corpora and for the fuzz targets.
 
 use std::fmt::Display;
+use std::path::Path;
 
 use foresight_index::generate::asteroids::AsteroidParams;
 use foresight_index::generate::city::CityParams;
@@ -8,6 +9,9 @@ use foresight_index::generate::document;
 use foresight_index::generate::terrain::TerrainParams;
 use foresight_index::import::{cityjson, elevation, tiles3d};
 use foresight_index::manifest;
+use foresight_index::octree::Octree;
+use foresight_index::stored::{document as document_of_a_world, page};
+use foresight_index::surface::{GltfFile, ObjFile, PlyFile, SurfaceError, SurfaceSource, Up};
 use foresight_server::http::{self, entity_tag::Comparison};
 use foresight_traces::path::parse::{Format, Options};
 use foresight_traces::{link, path};
@@ -31,6 +35,7 @@ pub const TARGETS: &[(&str, Parser)] = &[
     ("content", |bytes| outcome(tiles3d::content_summary(bytes))),
     ("delay", |bytes| outcome(link::delay::parse("delay", bytes))),
     ("geotiff", |bytes| outcome(elevation::parse_geotiff(bytes))),
+    ("gltf", |bytes| surfaces(bytes, |file| Ok(Box::new(GltfFile::open(file)?)))),
     ("gpx", |bytes| path_as(Format::Gpx, bytes)),
     ("http-request", http_request),
     ("igc", |bytes| path_as(Format::Igc, bytes)),
@@ -40,7 +45,10 @@ pub const TARGETS: &[(&str, Parser)] = &[
     ("link", |bytes| outcome(link::parse::from_bytes("link", bytes))),
     ("manifest", |bytes| outcome(manifest::parse(bytes))),
     ("npz", |bytes| outcome(elevation::parse_npz(bytes))),
+    ("obj", |bytes| surfaces(bytes, |file| Ok(Box::new(ObjFile::open(file, Up::Z)?)))),
+    ("page", page),
     ("path", |bytes| outcome(path::parse::from_bytes("path", bytes, &path::parse::Options::default()))),
+    ("ply", |bytes| surfaces(bytes, |file| Ok(Box::new(PlyFile::open(file, Up::Y)?)))),
     ("recording", recording),
     ("sabre", |bytes| outcome(link::sabre::parse("sabre", bytes))),
     ("session", session::lines),
@@ -48,6 +56,7 @@ pub const TARGETS: &[(&str, Parser)] = &[
     ("subtree", subtree),
     ("terrain", |bytes| outcome(document::parse::<TerrainParams>(bytes))),
     ("tileset", |bytes| outcome(tiles3d::parse_tileset(bytes))),
+    ("world-toml", |bytes| outcome(document_of_a_world::parse(bytes))),
 ];
 
 /// Gives the bytes to the parser of that name.
@@ -60,6 +69,12 @@ pub const TARGETS: &[(&str, Parser)] = &[
 pub fn entry(target: &str, bytes: &[u8]) -> Result<(), String> {
     let (_, parser) = TARGETS.iter().find(|(name, _)| *name == target).expect("a name of TARGETS");
     parser(bytes)
+}
+
+/// A page of an octree of 32 × 32 × 4 leaves of 64 m.
+fn page(bytes: &[u8]) -> Result<(), String> {
+    let octree = Octree::of(glam::DVec3::ZERO, 64.0, [5, 5, 2]).expect("parts of an octree");
+    outcome(page::parse(bytes, &octree))
 }
 
 /// A subtree of two levels of a quadtree, buffers in other files absent; of three levels of an octree for its own sake.
@@ -95,6 +110,18 @@ fn http_request(bytes: &[u8]) -> Result<(), String> {
 /// A G-NetTrack log as a link: what does not begin with its header is some other link.
 fn irish5g_link(bytes: &[u8]) -> Result<(), String> {
     outcome(link::parse::from_bytes("irish5g", bytes))
+}
+
+/// A mesh in a file of its own: every piece of it. Files that it names are not there, which is no fault.
+fn surfaces(bytes: &[u8], open: fn(&Path) -> Result<Box<dyn SurfaceSource>, SurfaceError>) -> Result<(), String> {
+    let folder = tempfile::tempdir().map_err(|error| error.to_string())?;
+    let file = folder.path().join("mesh");
+    std::fs::write(&file, bytes).map_err(|error| error.to_string())?;
+    let source = open(&file).map_err(|error| error.to_string())?;
+    for piece in 0..source.pieces() {
+        source.load(piece).map_err(|error| error.to_string())?;
+    }
+    Ok(())
 }
 
 /// As it was recorded, and as a path.

@@ -15,7 +15,7 @@ const MIGRATIONS: Migrations = Migrations {
 };
 
 /// Most rows of an answer.
-pub const ROWS_MAX: u32 = 100_000;
+pub(super) const ROWS_MAX: u32 = 100_000;
 
 /// An open catalogue.
 #[derive(Debug)]
@@ -130,7 +130,7 @@ impl Catalogue {
     }
 
     /// The cells of a world of this identity whose content meets a box, of the levels given, the largest first; at most
-    /// [`ROWS_MAX`].
+    /// 100,000.
     ///
     /// # Errors
     /// An identity that is not there; what the database refuses.
@@ -153,7 +153,7 @@ impl Catalogue {
         Ok(rows.iter().map(|row| cell(row)).collect())
     }
 
-    /// The representations of cells of a world, in order of the cells given; at most [`ROWS_MAX`].
+    /// The representations of cells of a world, in order of the cells given; at most 100,000.
     ///
     /// # Errors
     /// An identity that is not there; what the database refuses.

@@ -5,3 +5,5 @@ pub mod glb;
 pub mod glb_compressed;
 #[cfg(feature = "orthoviews")]
 pub mod orthoview;
+#[cfg(feature = "orthoviews")]
+pub mod prediction;

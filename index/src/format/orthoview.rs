@@ -5,15 +5,16 @@
 //! 8   direction's name (3 bytes), 0
 //! 12  first column, first row (i64 each), columns, rows (u32 each)
 //! 36  near, range (f64 each, metres)
-//! 52  bytes of the colours, depths, links, normals (u32 each)
-//! 68  colours: an image file; depths: 16-bit grey PNG, 10 bits used; links: 8-bit grey PNG, 6 bits used;
-//!     normals: PNG of two channels, octahedral
+//! 52  bytes of the colours, the shape, the normals (u32 each), 0 (u32)
+//! 68  colours: an image file; shape: lossless WebP, red and green the low and high byte of the depth's code
+//!     ([`super::prediction`]), blue the 6 bits of the links; normals: lossless WebP, red and green on the octahedron
 //! ```
 //!
 //! Numbers are little-endian. The image is cut to what is occupied. Where nothing is shown, the link's bit for presence is
 //! 0, and the other planes repeat their neighbours, which costs next to nothing. 10 bits of depth and 6 of connectivity
-//! are \[HIBR\]'s; kept apart they are smaller than packed into one 16-bit plane.
+//! are \[HIBR\]'s. Every plane is one that a browser decodes.
 
+use super::prediction::{predicted, restored};
 use crate::orthoview::Direction;
 use crate::orthoview::connectivity::Links;
 use crate::orthoview::image::{Orthoview, Pixel, Rect};
@@ -21,7 +22,6 @@ use crate::orthoview::texture::{encoded, linear};
 use glam::I64Vec2;
 use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
-use image::codecs::webp::WebPEncoder;
 use image::{ColorType, ExtendedColorType, ImageEncoder, ImageFormat};
 
 /// Version that is written.
@@ -45,6 +45,8 @@ pub enum ColourCodec {
     WebpLossless,
     /// Lossy; quality 1 to 100. \[DRVW\] §5 takes 50.
     Jpeg(u8),
+    /// Lossy, half of a JPEG at the same fidelity; quality 1 to 100.
+    Webp(u8),
 }
 
 /// What a file is made with.
@@ -58,7 +60,7 @@ pub struct Encoding {
 
 impl Default for Encoding {
     fn default() -> Encoding {
-        Encoding { colour: ColourCodec::Jpeg(90), normals: true }
+        Encoding { colour: ColourCodec::Webp(85), normals: true }
     }
 }
 
@@ -227,15 +229,10 @@ pub fn encode(
     }
     let size = (width as u32, height as u32);
     let Planes { colours, depths, links: bits, normals, .. } = planes;
-    // The encoder takes 16-bit samples in the machine's order.
-    let depths: Vec<u8> = depths.into_iter().flat_map(u16::to_ne_bytes).collect();
-    let grey = |data: &[u8], kind| png(data, size, kind, "links or depths");
     let colour_file = match encoding.colour {
-        ColourCodec::Png => png(&colours, size, ExtendedColorType::Rgb8, "colours")?,
-        ColourCodec::WebpLossless => written(
-            |out| WebPEncoder::new_lossless(out).write_image(&colours, size.0, size.1, ExtendedColorType::Rgb8),
-            "colours",
-        )?,
+        ColourCodec::Png => png(&colours, size)?,
+        ColourCodec::WebpLossless => webp(&colours, size, None, "colours")?,
+        ColourCodec::Webp(quality) => webp(&colours, size, Some(quality), "colours")?,
         ColourCodec::Jpeg(quality) => written(
             |out| {
                 JpegEncoder::new_with_quality(out, quality.clamp(1, 100)).encode(
@@ -248,16 +245,21 @@ pub fn encode(
             "colours",
         )?,
     };
-    let depth_file = grey(&depths, ExtendedColorType::L16)?;
-    let link_file = grey(&bits, ExtendedColorType::L8)?;
-    let normal_file =
-        if encoding.normals { png(&normals, size, ExtendedColorType::La8, "normals")? } else { Vec::new() };
+    let codes = predicted(&depths, width);
+    let shape: Vec<u8> =
+        codes.iter().zip(&bits).flat_map(|(code, links)| [*code as u8, (code >> 8) as u8, *links]).collect();
+    let shape_file = webp(&shape, size, None, "the shape")?;
+    let normal_file = if encoding.normals {
+        let three: Vec<u8> = normals.as_chunks::<2>().0.iter().flat_map(|&[x, y]| [x, y, 0]).collect();
+        webp(&three, size, None, "normals")?
+    } else {
+        Vec::new()
+    };
 
-    let mut file =
-        Vec::with_capacity(HEADER + colour_file.len() + depth_file.len() + link_file.len() + normal_file.len());
+    let mut file = Vec::with_capacity(HEADER + colour_file.len() + shape_file.len() + normal_file.len());
     let codec = match encoding.colour {
         ColourCodec::Png => 0,
-        ColourCodec::WebpLossless => 1,
+        ColourCodec::WebpLossless | ColourCodec::Webp(_) => 1,
         ColourCodec::Jpeg(_) => 2,
     };
     file.extend_from_slice(b"FSOV");
@@ -270,7 +272,7 @@ pub fn encode(
     file.extend(size.1.to_le_bytes());
     file.extend(view.near.to_le_bytes());
     file.extend(view.range.to_le_bytes());
-    let planes = [colour_file, depth_file, link_file, normal_file];
+    let planes = [colour_file, shape_file, normal_file, Vec::new()];
     for plane in &planes {
         file.extend((plane.len() as u32).to_le_bytes());
     }
@@ -287,14 +289,40 @@ fn written(
     Ok(out)
 }
 
-fn png(data: &[u8], size: (u32, u32), kind: ExtendedColorType, plane: &'static str) -> Result<Vec<u8>, OrthoviewError> {
+fn png(data: &[u8], size: (u32, u32)) -> Result<Vec<u8>, OrthoviewError> {
     written(
         |out| {
-            PngEncoder::new_with_quality(out, CompressionType::Default, FilterType::Adaptive)
-                .write_image(data, size.0, size.1, kind)
+            PngEncoder::new_with_quality(out, CompressionType::Default, FilterType::Adaptive).write_image(
+                data,
+                size.0,
+                size.1,
+                ExtendedColorType::Rgb8,
+            )
         },
-        plane,
+        "colours",
     )
+}
+
+/// WebP of three channels by libwebp, lossless without a quality. Lossless takes the effort of a quality of 75.
+fn webp(
+    data: &[u8],
+    (width, height): (u32, u32),
+    quality: Option<u8>,
+    plane: &'static str,
+) -> Result<Vec<u8>, OrthoviewError> {
+    let encoder = webp::Encoder::from_rgb(data, width, height);
+    let quality_or_effort = f32::from(quality.unwrap_or(75).clamp(1, 100));
+    let file = encoder.encode_simple(quality.is_none(), quality_or_effort);
+    file.map(|file| file.to_vec()).map_err(|error| OrthoviewError::Plane { plane, fault: format!("{error:?}") })
+}
+
+/// Bytes of a file's pixels once a client has uploaded them: colour (4), depth and links (2), and normal (2) where there is
+/// one. 0 for what is no such file.
+pub fn uploaded_bytes(file: &[u8]) -> u64 {
+    let Some(header) = file.first_chunk::<HEADER>().filter(|header| header.starts_with(b"FSOV")) else { return 0 };
+    let four = |at: usize| u64::from(u32::from_le_bytes(<[u8; 4]>::try_from(&header[at..at + 4]).unwrap_or_default()));
+    let pixel = if header[6] == 0 { 6 } else { 8 };
+    four(28).saturating_mul(four(32)).saturating_mul(pixel)
 }
 
 /// Reads a file. Pixels outside of what was occupied are not there: the image's `rect` is the smaller one.
@@ -343,25 +371,25 @@ pub fn decode(bytes: &[u8]) -> Result<Decoded, OrthoviewError> {
         at = at.saturating_add(length);
         found.ok_or_else(|| fault(52 + 4 * index, format!("{name} of {length} bytes"), "planes within the file"))
     };
-    let (colours, depths, links, normals) =
-        (plane(0, "colours")?, plane(1, "depths")?, plane(2, "links")?, plane(3, "normals")?);
+    let (colours, shape, normals) = (plane(0, "colours")?, plane(1, "the shape")?, plane(2, "normals")?);
     let size = (width as u32, height as u32);
     let colours = samples(colours, format, size, ColorType::Rgb8, "colours")?;
-    let depths = samples(depths, ImageFormat::Png, size, ColorType::L16, "depths")?;
-    let links = samples(links, ImageFormat::Png, size, ColorType::L8, "links")?;
+    let shape = samples(shape, ImageFormat::WebP, size, ColorType::Rgb8, "the shape")?;
     let normals = match header[6] {
         0 => None,
-        _ => Some(samples(normals, ImageFormat::Png, size, ColorType::La8, "normals")?),
+        _ => Some(samples(normals, ImageFormat::WebP, size, ColorType::Rgb8, "normals")?),
     };
-    let links: Vec<Links> = links.into_iter().map(Links::from_bits).collect();
+    let shape = shape.as_chunks::<3>().0;
+    let codes: Vec<u16> = shape.iter().map(|&[low, high, _]| u16::from_le_bytes([low, high])).collect();
+    let depths = restored(&codes, width);
+    let links: Vec<Links> = shape.iter().map(|&[_, _, bits]| Links::from_bits(bits)).collect();
     let pixel = |index: usize| {
         if !links[index].is_present() {
             return Pixel::EMPTY;
         }
-        let step = u16::from_ne_bytes([depths[2 * index], depths[2 * index + 1]]);
         #[expect(clippy::cast_possible_truncation, reason = "relative to the cell's near end")]
-        let depth = (f64::from(step) / DEPTH_STEPS * range) as f32;
-        let normal = normals.as_ref().map_or([0.0; 3], |n| from_octahedral([n[2 * index], n[2 * index + 1]]));
+        let depth = (f64::from(depths[index]) / DEPTH_STEPS * range) as f32;
+        let normal = normals.as_ref().map_or([0.0; 3], |n| from_octahedral([n[3 * index], n[3 * index + 1]]));
         Pixel { depth, colour: std::array::from_fn(|c| linear(colours[3 * index + c])), normal }
     };
     let pixels = (0..width * height).map(pixel).collect();

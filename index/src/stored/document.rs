@@ -1,5 +1,6 @@
 //! `world.toml`: what is in a stored world, what was left out, and which version of its files counts.
 
+use super::page::Hash;
 use crate::octree::Octree;
 use crate::world::Georeference;
 use glam::DVec3;
@@ -260,16 +261,17 @@ impl Document {
         ))
     }
 
-    /// The identity of what is named here: everything that a client draws and where it is.
-    pub fn identity_of(&self, root: &str) -> String {
+    /// The identity of what is named here, everything that a client draws and where it is: `root` is the hash of the root's
+    /// page.
+    pub fn identity_of(&self, root: &Hash) -> String {
         let mut hasher = blake3::Hasher::new();
         let mut put = |bytes: &[u8]| {
             hasher.update(&(bytes.len() as u64).to_le_bytes());
             hasher.update(bytes);
         };
         put(b"foresight-stored-world-1");
-        // The root's name holds its hash, and that of everything beneath it.
-        put(root.as_bytes());
+        // The root's page holds the hashes of everything beneath it.
+        put(root);
         for value in self.octree.origin.iter().chain([&self.octree.leaf_side, &self.orthoviews.pixel]).chain(&self.up) {
             put(&value.to_bits().to_le_bytes());
         }

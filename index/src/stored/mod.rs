@@ -20,6 +20,8 @@ pub mod packing;
 pub mod page;
 pub mod publish;
 mod read;
+#[cfg(test)]
+mod tests;
 
 pub use document::Document;
 pub use read::{Pages, open, open_document};

@@ -97,6 +97,18 @@ impl Workplace {
         self.folder.join(address::BUILDING).join(name)
     }
 
+    /// Removes a file of the build in progress, if it is there.
+    ///
+    /// # Errors
+    /// A file that cannot be removed.
+    pub fn strike(&self, name: &str) -> Result<(), StoredError> {
+        let file = self.noted(name);
+        match fs::remove_file(&file) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => Err(io(&file)(error)),
+            _ => Ok(()),
+        }
+    }
+
     /// Forgets a build in progress.
     ///
     /// # Errors

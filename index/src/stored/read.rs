@@ -1,12 +1,13 @@
 //! Stored worlds into memory.
 
-use super::document::{self, Document};
-use super::page::{self, Child, Kind, Node, PageError, PageReference, Stored, Summary};
+use super::document::{self, Document, LeftOut};
+use super::page::{self, Child, Kind, Node, PageError, PageReference, Stored};
 use super::{StoredError, address};
 use crate::ground::{Ground, LeafHeights};
 use crate::octree::{Cell, Octree};
 use crate::uris::UriTableBuilder;
 use crate::world::{Note, Severity, World, WorldKind};
+use foresight_scheduler::benefit::element::ELEMENTS;
 use foresight_scheduler::lod_tree::{LodTreeBuilder, LodTreeError, Representation};
 use glam::DVec3;
 use std::io::Read as _;
@@ -145,7 +146,7 @@ pub fn open(folder: &Path) -> Result<World, StoredError> {
         file: &file,
     };
     let root = pages.root(&document.root)?;
-    let summary = full_summary(&root);
+    let summary = root.summary();
     builder.node(&root)?;
     let Builder { tree, uris, heights, .. } = builder;
     let tree = tree.finish().map_err(tree_fault)?;
@@ -164,10 +165,6 @@ pub fn open(folder: &Path) -> Result<World, StoredError> {
     })
 }
 
-fn full_summary(node: &Node) -> Summary {
-    node.summary()
-}
-
 /// What the document says, as notes on the world.
 fn notes(document: &Document) -> Vec<Note> {
     let note = |severity, place: &str, text: String| {
@@ -180,8 +177,6 @@ fn notes(document: &Document) -> Vec<Note> {
     });
     left_out.chain(document.notes.iter().map(|text| note(Severity::Trap, "notes", text.clone()))).collect()
 }
-
-use super::document::LeftOut;
 
 struct Builder<'a> {
     pages: &'a Pages,
@@ -212,6 +207,10 @@ impl Builder<'_> {
         self.tree.open()?;
         if let Some(leaf) = &node.leaf {
             self.heights.push(leaf.ground);
+            let shares: Option<[u16; ELEMENTS]> = leaf.shares.as_slice().try_into().ok();
+            if let Some(shares) = shares.filter(|shares| shares.iter().any(|&share| share > 0)) {
+                self.tree.surface(shares.map(f32::from))?;
+            }
         }
         let mut reps: Vec<&Stored> = node.representations.iter().collect();
         reps.sort_by(|a, b| b.error.total_cmp(&a.error).then(a.kind.cmp(&b.kind)));

@@ -67,7 +67,7 @@ pub(crate) fn file_identity(kind: &str, file: &Path) -> Result<[u8; 32], Content
 }
 
 /// The hash over the parameters of what is generated.
-#[cfg(feature = "generated")]
+#[cfg(any(feature = "textures", feature = "terrain", feature = "asteroids"))]
 pub(crate) fn parameters_identity<P: crate::generate::document::Params>(params: &P) -> Result<[u8; 32], ContentError> {
     let json = serde_json::to_vec(params);
     let json = json.map_err(|error| ContentError { place: P::FORMAT.to_owned(), fault: error.to_string() })?;

@@ -12,14 +12,17 @@ mod polygon;
 mod source;
 pub mod spool;
 
+#[cfg(test)]
+mod tests;
+
 pub use gltf::GltfFile;
 #[cfg(feature = "cityjson")]
 pub(crate) use inputs::file_identity;
-#[cfg(feature = "generated")]
+#[cfg(any(feature = "textures", feature = "terrain", feature = "asteroids"))]
 pub(crate) use inputs::parameters_identity;
 pub use obj::ObjFile;
 pub use ply::PlyFile;
-pub use source::{SurfaceError, open};
+pub use source::{SurfaceError, is_mesh, open};
 
 use std::sync::Arc;
 

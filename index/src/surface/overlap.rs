@@ -29,6 +29,9 @@ pub fn meets(corners: &[DVec3; 3], bounds: &Aabb) -> bool {
     })
 }
 
+/// Up to this many leaves are tried one by one.
+const FEW: u64 = 27;
+
 /// A triangle that meets more leaves than may be.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TooManyLeaves;
@@ -58,6 +61,19 @@ pub fn leaves(
         let bounds = octree.bounds(cell);
         Aabb { min: bounds.min - slack, max: bounds.max + slack }
     };
+    let count = [x, y, z].iter().fold(1_u64, |count, range| count.saturating_mul(range[1] - range[0] + 1));
+    if count <= FEW {
+        for z in z[0]..=z[1] {
+            for y in y[0]..=y[1] {
+                for x in x[0]..=x[1] {
+                    if meets(corners, &enlarged(Cell { level: 0, place: [x, y, z] })) {
+                        out.push([x, y, z]);
+                    }
+                }
+            }
+        }
+        return if out.len() > end { Err(TooManyLeaves) } else { Ok(()) };
+    }
     // The smallest cell over all of them.
     let (mut low, mut high) = (Cell { level: 0, place: first }, Cell { level: 0, place: [x[1], y[1], z[1]] });
     while low != high {

@@ -85,6 +85,14 @@ pub fn open(input: &str, progress: &Progress) -> Result<Box<dyn SurfaceSource>, 
     source
 }
 
+/// Whether `input` names a GLB, glTF, OBJ or PLY file: a mesh, and nothing else that is known.
+pub fn is_mesh(input: &str) -> bool {
+    let (path, _) = with_up(input);
+    let mut head = Vec::new();
+    let read = File::open(path).and_then(|file| file.take(HEAD).read_to_end(&mut head));
+    path.is_file() && read.is_ok() && matches!(recognise(&head), Content::Gltf | Content::Ply | Content::Obj)
+}
+
 fn opened(input: &str) -> Result<Box<dyn SurfaceSource>, SurfaceError> {
     if !Path::new(input).exists()
         && let Some((given, parts)) = input.split_once(':')
@@ -159,9 +167,10 @@ fn recognise(head: &[u8]) -> Content {
             Some((_, kind)) => Content::Generated(kind),
             None if has("\"CityJSON") || has("\"CityObjects\"") => Content::CityJson,
             None if has("\"geometricError\"") => Content::Tileset,
-            None if ["\"meshes\"", "\"accessors\"", "\"bufferViews\"", "\"buffers\"", "\"nodes\"", "\"scenes\""]
-                .into_iter()
-                .any(has) =>
+            None if has("\"asset\"")
+                && ["\"meshes\"", "\"accessors\"", "\"bufferViews\"", "\"buffers\"", "\"nodes\"", "\"scenes\""]
+                    .into_iter()
+                    .any(has) =>
             {
                 Content::Gltf
             }

@@ -106,17 +106,41 @@ pub fn improves(errors: &Errors, others: &Errors) -> bool {
 }
 
 /// m_s, metres, for a box with its middle at `centre` from an eye that may move by `reach`.
+#[inline]
 pub fn facing(centre: DVec3, half: DVec3, reach: f64) -> [f64; ELEMENTS] {
-    NORMALS.map(|n| height(n, centre, half, reach).max(0.0))
-}
-
-fn height(normal: DVec3, centre: DVec3, half: DVec3, reach: f64) -> f64 {
-    normal.abs().dot(half) - normal.dot(centre) + reach
+    let (near, far) = (half - centre + reach, half + centre + reach);
+    let (x, y, z) = (CORNER * centre.x, CORNER * centre.y, CORNER * centre.z);
+    let h = CORNER * half.element_sum() + reach;
+    // In the order of the normals.
+    let mut heights = [
+        far.x,
+        near.x,
+        far.y,
+        near.y,
+        far.z,
+        near.z,
+        h + x + y + z,
+        h + x + y - z,
+        h + x - y + z,
+        h + x - y - z,
+        h - x + y + z,
+        h - x + y - z,
+        h - x - y + z,
+        h - x - y - z,
+    ];
+    for height in &mut heights {
+        *height = height.max(0.0);
+    }
+    heights
 }
 
 /// Σ S_s·m_s, m³.
 pub fn projected(surface: &[f64; ELEMENTS], facing: &[f64; ELEMENTS]) -> f64 {
-    surface.iter().zip(facing).map(|(area, m)| area * m).sum()
+    let mut sum = 0.0;
+    for s in 0..ELEMENTS {
+        sum += surface[s] * facing[s];
+    }
+    sum
 }
 
 /// Whether some of a node's surface faces the eye.
@@ -129,8 +153,9 @@ pub fn shares(tree: &LodTree, node: NodeId, centre: DVec3, half: DVec3, reach: f
     let surface = tree.surface(node);
     let mut shares = facing(centre, half, reach);
     let whole = projected(&surface, &shares);
-    for (share, area) in shares.iter_mut().zip(surface) {
-        *share = if whole > 0.0 { *share * area / whole } else { 0.0 };
+    let scale = if whole > 0.0 { 1.0 / whole } else { 0.0 };
+    for s in 0..ELEMENTS {
+        shares[s] *= surface[s] * scale;
     }
     shares
 }

@@ -163,7 +163,7 @@ impl HostedWorld {
             let path = Path::new(source);
             let folder = if path.is_dir() {
                 Some(path.to_owned())
-            } else if matches!(world.kind, WorldKind::Tiles3d | WorldKind::Mosaic) {
+            } else if matches!(world.kind, WorldKind::Tiles3d | WorldKind::Mosaic | WorldKind::Built) {
                 path.parent()
                     .map(|parent| if parent.as_os_str().is_empty() { PathBuf::from(".") } else { parent.to_owned() })
             } else {
@@ -266,7 +266,7 @@ fn own_name(source: &str, world: &World) -> String {
         Some(source.split(':').next().unwrap_or_default().to_owned())
     } else if path.is_dir() {
         path.file_name().map(|name| name.to_string_lossy().into_owned())
-    } else if matches!(world.kind, WorldKind::Tiles3d | WorldKind::Mosaic) {
+    } else if matches!(world.kind, WorldKind::Tiles3d | WorldKind::Mosaic | WorldKind::Built) {
         path.parent().and_then(Path::file_name).map(|name| name.to_string_lossy().into_owned())
     } else {
         let file = path.file_name().map(|name| name.to_string_lossy().into_owned());

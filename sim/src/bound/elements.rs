@@ -94,17 +94,41 @@ pub(super) struct Sight {
     beneath: [[f64; ELEMENTS]; 2],
 }
 
-/// The problem by element: items and options are those of the frame.
-pub(super) struct Lanes {
-    /// By item; only of what is seen.
-    sights: Vec<Option<Sight>>,
-    /// Errors of the options of each item.
-    errors: Vec<Errors>,
-    /// What part of each own representation's price an element pays, in the order of items, with the first of each item.
-    shares: Vec<[f64; ELEMENTS]>,
-    first_share: Vec<usize>,
-    /// Elements of which something is seen.
-    seen: Vec<usize>,
+/// The problem by element: each has its own items and options, those that show something of it.
+pub(super) struct Lanes(Vec<Lane>);
+
+/// One element's problem, items in preorder.
+struct Lane {
+    items: Vec<LaneItem>,
+    /// Errors of the options of each item: those inherited, then its own, the least first.
+    errors: Vec<f32>,
+    /// Own options in the order of the items.
+    own: Vec<Own>,
+}
+
+#[derive(Clone, Copy)]
+struct LaneItem {
+    /// Place of the nearest item above; itself for the first.
+    parent: usize,
+    /// Options that can come from above, the first being nothing at all.
+    inherited: usize,
+    /// Where its options begin, and its own.
+    first: usize,
+    own: [usize; 2],
+    /// Of what is seen; 0 for what only groups others.
+    weight: f64,
+    sharpness: f64,
+    /// Least wire and decoded bytes per unit of weight at which something beneath improves it.
+    beneath: [f64; 2],
+}
+
+/// A representation that shows the element.
+#[derive(Clone, Copy)]
+struct Own {
+    /// Wire and decoded bytes.
+    bytes: [f64; 2],
+    /// What part of its price this element pays.
+    share: f64,
 }
 
 impl Lanes {
@@ -122,90 +146,100 @@ impl Lanes {
                 beneath[parent].iter_mut().zip(of_child).for_each(|(sum, weight)| *sum += weight);
             }
         }
-        let mut lanes = Lanes {
-            sights: by_item,
-            errors: Vec::new(),
-            shares: Vec::new(),
-            first_share: Vec::new(),
-            seen: Vec::new(),
-        };
-        for (place, item) in items.iter().enumerate() {
-            if item.parent == place {
-                lanes.errors.push(element::NOTHING);
-            } else {
-                let from = items[item.parent].first;
-                lanes.errors.extend_from_within(from..from + item.inherited);
-            }
-            lanes.first_share.push(lanes.shares.len());
-            for rep in tree.own(item.node) {
-                let errors = element::errors(tree, rep);
-                let mut share: [f64; ELEMENTS] =
-                    core::array::from_fn(|s| if errors[s] < f32::INFINITY { beneath[place][s] } else { 0.0 });
-                let whole: f64 = share.iter().sum();
-                share.iter_mut().for_each(|share| *share = if whole > 0.0 { *share / whole } else { 0.0 });
-                lanes.errors.push(errors);
-                lanes.shares.push(share);
-            }
-        }
-        let all = |s: &usize| lanes.sights.iter().flatten().any(|sight| sight.weights[*s] > 0.0);
-        lanes.seen = (0..ELEMENTS).filter(all).collect();
-        lanes
+        let weighs = |s: &usize| beneath.iter().any(|weights| weights[*s] > 0.0);
+        Lanes((0..ELEMENTS).filter(weighs).map(|s| Lane::new(s, tree, items, &by_item, &beneath)).collect())
     }
 
     /// Σ over the elements of max_R [ Q_R − λ·cost(R) ] over what each fits the limits.
-    pub(super) fn relaxed(
-        &self,
-        tree: &LodTree,
-        items: &[Item],
-        values: &mut Vec<f64>,
-        lambda: f64,
-        wire: bool,
-        limits: Limits,
-    ) -> f64 {
-        self.seen.iter().map(|&s| self.relaxed_element(s, tree, items, values, lambda, wire, limits)).sum()
+    pub(super) fn relaxed(&self, values: &mut Vec<f64>, lambda: f64, wire: bool, limits: Limits) -> f64 {
+        self.0.iter().map(|lane| lane.relaxed(values, lambda, wire, limits)).sum()
     }
+}
 
-    #[expect(clippy::too_many_arguments, reason = "one element of the sum above")]
-    fn relaxed_element(
-        &self,
-        s: usize,
-        tree: &LodTree,
-        items: &[Item],
-        values: &mut Vec<f64>,
-        lambda: f64,
-        wire: bool,
-        limits: Limits,
-    ) -> f64 {
-        values.clear();
-        values.resize(self.errors.len(), 0.0);
-        let mut root = 0.0;
-        for place in (0..items.len()).rev() {
-            let item = items[place];
-            let own = tree.own(item.node);
-            let errors = &self.errors[item.first..item.first + item.inherited + own.len()];
-            if let Some(sight) = self.sights[place].as_ref().filter(|sight| sight.weights[s] > 0.0) {
-                let per_weight = sight.beneath[if wire { 0 } else { 1 }][s];
-                let perfect = if per_weight.is_finite() { 1.0 - lambda * per_weight } else { 0.0 };
-                for (option, errors) in errors.iter().enumerate() {
-                    let shown = accuracy(f64::from(errors[s]), item.sharpness);
-                    values[item.first + option] += sight.weights[s] * shown.max(perfect);
+impl Lane {
+    fn new(s: usize, tree: &LodTree, items: &[Item], sights: &[Option<Sight>], beneath: &[[f64; ELEMENTS]]) -> Lane {
+        let mut lane = Lane { items: Vec::new(), errors: Vec::new(), own: Vec::new() };
+        // Where each item went; what weighs nothing is left out.
+        let mut places = vec![usize::MAX; items.len()];
+        for (place, item) in items.iter().enumerate().filter(|(place, _)| beneath[*place][s] > 0.0) {
+            places[place] = lane.items.len();
+            let parent = places[item.parent];
+            let first = lane.errors.len();
+            let inherited = if item.parent == place {
+                lane.errors.push(f32::INFINITY);
+                1
+            } else {
+                let above = lane.items[parent];
+                let count = above.inherited + above.own[1] - above.own[0];
+                lane.errors.extend_from_within(above.first..above.first + count);
+                count
+            };
+            let mut own: Vec<(f32, Own)> = Vec::new();
+            for rep in tree.own(item.node) {
+                let errors = element::errors(tree, rep);
+                if errors[s] < f32::INFINITY {
+                    let shown = (0..ELEMENTS).filter(|&s| errors[s] < f32::INFINITY).map(|s| beneath[place][s]);
+                    let share = beneath[place][s] / shown.sum::<f64>();
+                    let bytes = [tree.wire_bytes(rep) as f64, tree.decoded_bytes(rep) as f64];
+                    own.push((errors[s], Own { bytes, share }));
                 }
             }
-            // Buy one of the own, or go on with what comes from above.
+            own.sort_by(|a, b| a.0.total_cmp(&b.0));
+            let first_own = lane.own.len();
+            lane.errors.extend(own.iter().map(|(error, _)| error));
+            lane.own.extend(own.iter().map(|(_, own)| own));
+            let sight = sights[place].as_ref();
+            lane.items.push(LaneItem {
+                parent: if item.parent == place { lane.items.len() } else { parent },
+                inherited,
+                first,
+                own: [first_own, lane.own.len()],
+                weight: sight.map_or(0.0, |sight| sight.weights[s]),
+                sharpness: item.sharpness,
+                beneath: sight.map_or([f64::INFINITY; 2], |sight| sight.beneath.map(|bytes| bytes[s])),
+            });
+        }
+        lane
+    }
+
+    fn relaxed(&self, values: &mut Vec<f64>, lambda: f64, wire: bool, limits: Limits) -> f64 {
+        values.clear();
+        values.resize(self.errors.len(), 0.0);
+        let which = if wire { 0 } else { 1 };
+        let mut root = 0.0;
+        // Best that buying one of the first own options is worth.
+        let mut bought: Vec<f64> = Vec::new();
+        for (place, item) in self.items.iter().enumerate().rev() {
+            let own = &self.own[item.own[0]..item.own[1]];
+            let errors = &self.errors[item.first..item.first + item.inherited + own.len()];
+            if item.weight > 0.0 {
+                let per_weight = item.beneath[which];
+                let perfect = if per_weight.is_finite() { 1.0 - lambda * per_weight } else { 0.0 };
+                for (option, &error) in errors.iter().enumerate() {
+                    let shown = accuracy(f64::from(error), item.sharpness);
+                    values[item.first + option] += item.weight * shown.max(perfect);
+                }
+            }
+            bought.clear();
+            let mut best = f64::NEG_INFINITY;
+            for (i, own) in own.iter().enumerate() {
+                if own.bytes[0] <= limits.wire && own.bytes[1] <= limits.memory {
+                    best = best.max(values[item.first + item.inherited + i] - lambda * own.share * own.bytes[which]);
+                }
+                bought.push(best);
+            }
+            // Buy one of the own that is better, or go on with what comes from above.
+            let own_errors = &errors[item.inherited..];
             for option in 0..item.inherited {
+                let better = own_errors.partition_point(|&error| error < errors[option]);
                 let mut best = values[item.first + option];
-                for (i, rep) in own.clone().enumerate() {
-                    let (bytes, decoded) = (tree.wire_bytes(rep) as f64, tree.decoded_bytes(rep) as f64);
-                    let fits = bytes <= limits.wire && decoded <= limits.memory;
-                    if fits && errors[item.inherited + i][s] < errors[option][s] {
-                        let price = self.shares[self.first_share[place] + i][s] * if wire { bytes } else { decoded };
-                        best = best.max(values[item.first + item.inherited + i] - lambda * price);
-                    }
+                if better > 0 {
+                    best = best.max(bought[better - 1]);
                 }
                 if item.parent == place {
                     root = best;
                 } else {
-                    values[items[item.parent].first + option] += best;
+                    values[self.items[item.parent].first + option] += best;
                 }
             }
         }

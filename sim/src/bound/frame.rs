@@ -112,9 +112,9 @@ pub(super) struct Item {
     /// Place of the nearest item above; itself for the first.
     pub(super) parent: usize,
     /// Options (least errors) that can come from above, the first being nothing at all.
-    pub(super) inherited: usize,
+    inherited: usize,
     /// Where this item's values begin.
-    pub(super) first: usize,
+    first: usize,
     /// For what is seen: its share of the weight and its sharpness; weight 0 for what only groups others.
     weight: f64,
     pub(super) sharpness: f64,
@@ -257,7 +257,7 @@ impl<'a> FrameBound<'a> {
     fn relaxed(&mut self, lambda: f64, resource: Resource, limits: Limits) -> f64 {
         if let Some(lanes) = &self.lanes {
             let wire = resource == Resource::Wire;
-            return lanes.relaxed(self.tree, &self.items, &mut self.values, lambda, wire, limits);
+            return lanes.relaxed(&mut self.values, lambda, wire, limits);
         }
         let tree = self.tree;
         self.values.clear();

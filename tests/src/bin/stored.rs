@@ -14,7 +14,7 @@ use foresight_tests::stored::{Fault, Findings, codec, connectivity, correct, hea
 #[derive(Debug, Parser)]
 #[command(
     after_help = "Examples:\n  stored correct\n  stored correct --world TILESET --leaf 16 --pixels 256 --report out\n  \
-                        stored codecs --world city:blocks=4\n  stored linear --blocks 2,4,8,16 --report out\n  stored storage\n  \
+                        stored codecs --world city:blocks=4\n  stored linear --blocks 2,4,8,16 --city pitch=40m,street=8m --leaf 40 --pixels 32 --count --report out\n  stored storage\n  \
                         stored levels --world TILESET --leaf 32\n  \
                         stored headline --json"
 )]
@@ -85,6 +85,9 @@ enum Figure {
         /// Blocks along the city's side
         #[arg(long, value_delimiter = ',', default_value = "2,4,8,16", value_name = "N,…")]
         blocks: Vec<u32>,
+        /// Further parameters of the city
+        #[arg(long, default_value = "", value_name = "KEY=VALUE,…")]
+        city: String,
         /// Side of a leaf, metres
         #[arg(long, default_value_t = 100.0, value_name = "METRES")]
         leaf: f64,
@@ -162,9 +165,9 @@ fn measured(figure: Figure) -> Result<Findings, Fault> {
             let samples = codec::samples(&scene, cells)?;
             codec::findings(&scene.name, &samples)
         }
-        Figure::Linear { blocks, leaf, pixels, count, .. } => {
+        Figure::Linear { blocks, city, leaf, pixels, count, .. } => {
             let program = std::env::current_exe().map_err(|e| Fault::new("this program", e))?;
-            linear::findings(&linear::Plan { blocks, leaf: (leaf, pixels), program: &program, count })
+            linear::findings(&linear::Plan { blocks, city: &city, leaf: (leaf, pixels), program: &program, count })
         }
         Figure::Storage { cases } => {
             let scenes: Vec<Scene> = cases

@@ -4,6 +4,7 @@ use std::io::Write;
 
 use flate2::write::DeflateEncoder;
 use foresight_index::format::orthoview::{Planes, planes};
+use foresight_index::format::prediction::predicted;
 use foresight_index::orthoview::connectivity::{Thresholds, links};
 use foresight_index::orthoview::{Direction, Orthoview};
 use foresight_sim::stopwatch::Stopwatch;
@@ -142,29 +143,10 @@ fn padded(two: &[u8]) -> Vec<u8> {
     two.as_chunks::<2>().0.iter().flat_map(|&[a, b]| [a, b, 0]).collect()
 }
 
-/// Depths as differences from the mean of what is left and below (as PNG's average filter, in 16 bits), high bytes after low.
-fn predicted(planes: &Planes) -> Vec<u8> {
-    let width = planes.rect.width().max(1);
-    let depths = &planes.depths;
-    let step = |i: usize| {
-        let left = if i.is_multiple_of(width) { None } else { Some(depths[i - 1]) };
-        let below = if i < width { None } else { Some(depths[i - width]) };
-        let guess = match (left, below) {
-            (Some(a), Some(b)) if i >= width => {
-                // The gradient, kept between its neighbours (LOCO-I).
-                let c = depths[i - width - 1];
-                (i32::from(a) + i32::from(b) - i32::from(c)).clamp(i32::from(a.min(b)), i32::from(a.max(b)))
-            }
-            (Some(a), _) => i32::from(a),
-            (None, Some(b)) => i32::from(b),
-            (None, None) => 0,
-        };
-        let off = i32::from(depths[i]) - guess;
-        // Zigzag: small differences of either sign are small numbers.
-        ((off << 1) ^ (off >> 31)) as u16
-    };
-    let coded: Vec<u16> = (0..depths.len()).map(step).collect();
-    coded.iter().map(|v| *v as u8).chain(coded.iter().map(|v| (v >> 8) as u8)).collect()
+/// The codes of the depths, low bytes before high ones.
+fn codes(planes: &Planes) -> Vec<u8> {
+    let codes = predicted(&planes.depths, planes.rect.width());
+    codes.iter().map(|v| *v as u8).chain(codes.iter().map(|v| (v >> 8) as u8)).collect()
 }
 
 fn packed(planes: &Planes) -> Vec<u16> {
@@ -282,20 +264,20 @@ fn depth_coders() -> Vec<(&'static str, Coder<'static>)> {
         (
             "WebP lossless, libwebp: predicted depths, links",
             lossless(|p| {
-                let coded = predicted(p);
+                let coded = codes(p);
                 let (low, high) = coded.split_at(p.depths.len());
                 let rgb: Vec<u8> = low.iter().zip(high).zip(&p.links).flat_map(|((l, h), k)| [*l, *h, *k]).collect();
                 libwebp_lossless(&rgb, size(p))
             }),
         ),
         ("zstd 19 of 16 bits", lossless(|p| zstd(&native(&packed(p))))),
-        ("zstd 19 of predicted depths, links", lossless(move |p| zstd(&joined(predicted(p), &p.links)))),
+        ("zstd 19 of predicted depths, links", lossless(move |p| zstd(&joined(codes(p), &p.links)))),
         ("deflate 9 of 16 bits ([DRVW]: ZIP)", lossless(|p| deflate(&native(&packed(p))))),
-        ("deflate 9 of predicted depths, links", lossless(move |p| deflate(&joined(predicted(p), &p.links)))),
+        ("deflate 9 of predicted depths, links", lossless(move |p| deflate(&joined(codes(p), &p.links)))),
         (
             "WebP lossless of predicted depths, links",
             lossless(|p| {
-                let coded = predicted(p);
+                let coded = codes(p);
                 let (low, high) = coded.split_at(p.depths.len());
                 let rgb: Vec<u8> = low.iter().zip(high).zip(&p.links).flat_map(|((l, h), k)| [*l, *h, *k]).collect();
                 webp_lossless(&rgb, size(p))

@@ -100,6 +100,8 @@ fn processor() -> f64 {
 pub struct Plan<'a> {
     /// Blocks along a side, growing.
     pub blocks: Vec<u32>,
+    /// Further parameters of the city, as `key=value,…`.
+    pub city: &'a str,
     /// Side of a leaf, metres, and its pixels.
     pub leaf: (f64, f64),
     /// This program, which is started anew for each world, as `program linear --one WORLD`.
@@ -115,7 +117,7 @@ pub struct Plan<'a> {
 pub fn findings(plan: &Plan<'_>) -> Result<Findings, Fault> {
     let mut rows: Vec<Built> = Vec::new();
     for &blocks in &plan.blocks {
-        let world = format!("city:blocks={blocks}");
+        let world = format!("city:blocks={blocks},{}", plan.city);
         let (side, pixels) = plan.leaf;
         let arguments =
             ["linear".into(), "--one".into(), world, format!("--leaf={side}"), format!("--pixels={pixels}")];

@@ -19,7 +19,7 @@ pub struct Stored {
     pub bytes: u64,
     /// Without normals.
     pub without_normals: u64,
-    /// Colours as JPEG 50 and no normals, as \[DRVW\] keeps them.
+    /// Colours as JPEG 50, as \[DRVW\] keeps them, and no normals.
     pub drvw: u64,
     /// Images and bytes, by level.
     pub levels: BTreeMap<u32, (u64, u64)>,
@@ -73,7 +73,7 @@ pub fn findings(scenes: &[Scene]) -> Result<Findings, Fault> {
             "orthoviews, MB",
             "share, %",
             "without normals, %",
-            "as [DRVW] codes, %",
+            "JPEG 50, no normals, %",
         ],
     );
     for scene in scenes {

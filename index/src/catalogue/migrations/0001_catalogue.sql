@@ -26,7 +26,7 @@ CREATE TABLE catalogue_objects (
 
 CREATE TABLE catalogue_cells (
     version      BIGINT NOT NULL,
-    id           BIGINT NOT NULL,            -- preorder
+    id           BIGINT NOT NULL,            -- 0 for the root; a cell's is larger than its parent's
     parent       BIGINT,
     level        BIGINT NOT NULL,            -- above the leaves
     x            BIGINT NOT NULL,

@@ -9,6 +9,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use gltf::json::Root;
+use gltf::json::accessor::sparse::Sparse;
 use gltf::json::accessor::{Accessor, ComponentType};
 use gltf::json::validation::Checked;
 
@@ -78,13 +79,17 @@ impl Asset<'_> {
             let start = view.byte_offset.map_or(0, |offset| offset.0).checked_add(end - length).ok_or_else(outside)?;
             return self.buffer(view.buffer.value())?.part(start, length).ok_or_else(outside);
         };
-        if !unfolded.contains_key(&index) {
-            let packed = packed.map_err(|why| format!("view {index}: {why}"))?;
-            let bytes = self.buffer(packed.buffer)?.part(packed.offset, packed.length).ok_or_else(outside)?;
-            let plain = packed.decode(&bytes).map_err(|why| format!("view {index}: {why}"))?;
-            unfolded.insert(index, Arc::new(plain));
-        }
-        let bytes = unfolded.get(&index).ok_or_else(absent)?;
+        let bytes = match unfolded.get(&index) {
+            Some(known) => known.clone(),
+            None => {
+                let packed = packed.map_err(|why| format!("view {index}: {why}"))?;
+                let bytes = self.buffer(packed.buffer)?.part(packed.offset, packed.length).ok_or_else(outside)?;
+                let plain = packed.decode(&bytes).map_err(|why| format!("view {index}: {why}"))?;
+                let plain = Arc::new(plain);
+                unfolded.insert(index, plain.clone());
+                plain
+            }
+        };
         let range = usize::try_from(from).ok().zip(from.checked_add(length).and_then(|end| usize::try_from(end).ok()));
         Ok(range.and_then(|(from, end)| bytes.get(from..end)).ok_or_else(outside)?.to_vec())
     }
@@ -106,10 +111,10 @@ impl Asset<'_> {
                 let bytes = self.part(view.value(), from, length, unfolded)?;
                 Elements::new(bytes.into(), stride, accessor)
             }
-            // All zero, but for what is sparse.
+            // All zero, but for what is sparse: of that there must be some.
             None => {
-                let sparse = accessor.sparse.as_ref().map_or(0, |sparse| sparse.count.0);
-                if accessor.count.0 > sparse.saturating_mul(256) {
+                let sparse = accessor.sparse.as_ref().map(|sparse| self.indices(sparse, unfolded)).transpose()?;
+                if count > sparse.map_or(0, |(bytes, _)| bytes.len()).saturating_mul(256) {
                     return Err(format!("accessor {index} of {count} elements without a view"));
                 }
                 Elements::new(vec![0; count.checked_mul(size).ok_or_else(missing)?].into(), size, accessor)
@@ -122,6 +127,16 @@ impl Asset<'_> {
         Ok(elements)
     }
 
+    /// The bytes of sparse indices, and their type.
+    fn indices(&self, sparse: &Sparse, unfolded: &mut Unfolded) -> Result<(Vec<u8>, ComponentType), String> {
+        let Checked::Valid(kind) = sparse.indices.component_type else {
+            return Err("sparse indices of no known type".to_owned());
+        };
+        let length = sparse.count.0.checked_mul(kind.0.size() as u64).ok_or("sparse indices beyond every buffer")?;
+        let bytes = self.part(sparse.indices.buffer_view.value(), sparse.indices.byte_offset.0, length, unfolded)?;
+        Ok((bytes, kind.0))
+    }
+
     /// Puts the sparse elements of an accessor into their places.
     fn replace(
         &self,
@@ -131,17 +146,11 @@ impl Asset<'_> {
         unfolded: &mut Unfolded,
     ) -> Result<(), String> {
         let Some(sparse) = &accessor.sparse else { return Ok(()) };
-        let Checked::Valid(kind) = sparse.indices.component_type else {
-            return Err("sparse indices of no known type".to_owned());
-        };
-        let (count, wide) = (sparse.count.0, kind.0.size() as u64);
-        let length = |size: u64| count.checked_mul(size).ok_or("sparse elements beyond every buffer");
-        let offset = sparse.indices.byte_offset.0;
-        let indices = self.part(sparse.indices.buffer_view.value(), offset, length(wide)?, unfolded)?;
-        let offset = sparse.values.byte_offset.0;
-        let values = self.part(sparse.values.buffer_view.value(), offset, length(size as u64)?, unfolded)?;
-        for (index, value) in indices.chunks_exact(kind.0.size()).zip(values.chunks_exact(size)) {
-            let at = match (kind.0, index) {
+        let (indices, kind) = self.indices(sparse, unfolded)?;
+        let length = sparse.count.0.checked_mul(size as u64).ok_or("sparse elements beyond every buffer")?;
+        let values = self.part(sparse.values.buffer_view.value(), sparse.values.byte_offset.0, length, unfolded)?;
+        for (index, value) in indices.chunks_exact(kind.size()).zip(values.chunks_exact(size)) {
+            let at = match (kind, index) {
                 (ComponentType::U8, &[a]) => usize::from(a),
                 (ComponentType::U16, &[a, b]) => usize::from(u16::from_le_bytes([a, b])),
                 (ComponentType::U32, &[a, b, c, d]) => u32::from_le_bytes([a, b, c, d]) as usize,

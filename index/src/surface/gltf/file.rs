@@ -34,8 +34,8 @@ pub struct GltfFile {
     names: Vec<String>,
     /// Said by the first piece.
     left_out: Vec<String>,
-    /// The primitive of more than one piece that was read last.
-    last: Mutex<Option<(Key, Arc<Mesh>)>>,
+    /// The primitives of more than one piece that were read last, one a thread, in order of their use.
+    last: Mutex<Vec<(Key, Arc<Mesh>)>>,
 }
 
 /// A primitive by its mesh and its place there.
@@ -139,7 +139,7 @@ impl GltfFile {
         });
         let buffers: Vec<_> = buffers.collect();
         let file = path.to_owned();
-        let (parts, names, last) = (Vec::new(), Vec::new(), Mutex::new(None));
+        let (parts, names, last) = (Vec::new(), Vec::new(), Mutex::new(Vec::new()));
         let mut made = GltfFile { file, root, buffers, parts, names, left_out, last };
         made.cut().map_err(|error| fault(path, &error.place, error.fault))?;
         if made.parts.is_empty() {
@@ -168,6 +168,7 @@ impl GltfFile {
             .fold(0, u64::saturating_add);
         let mut room = bytes.saturating_mul(TRIANGLES_PER_BYTE);
         let world = DMat4::from_mat3(GltfUp::Y.rotation()) * centre(&self.root);
+        let file = self.file.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
         mesh::walk(&self.root, &mut |node, transform, primitives| {
             if primitives.is_empty() {
                 return;
@@ -189,7 +190,7 @@ impl GltfFile {
                     continue;
                 }
                 let name = names.len();
-                names.push(format!("$.meshes[{mesh}].primitives[{at}]"));
+                names.push(format!("{file}: $.meshes[{mesh}].primitives[{at}]"));
                 let mut part = |range: (usize, usize), first: u64, own: u64| {
                     let (first_place, last_place) = range;
                     let is_whole = own == count && range == (0, places.len());
@@ -218,13 +219,15 @@ impl GltfFile {
         }
         // Held while it is read, so that its other pieces wait instead of reading it too.
         let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((key, mesh)) = &*last
-            && *key == part.key
-        {
-            return Ok(mesh.clone());
+        let known = last.iter().position(|(key, _)| *key == part.key).map(|at| last.remove(at).1);
+        let mesh = match known {
+            Some(mesh) => mesh,
+            None => Arc::new(Mesh::read(&self.asset(), primitive)?),
+        };
+        if last.len() >= rayon::current_num_threads() {
+            last.remove(0);
         }
-        let mesh = Arc::new(Mesh::read(&self.asset(), primitive)?);
-        *last = Some((part.key, mesh.clone()));
+        last.push((part.key, mesh.clone()));
         Ok(mesh)
     }
 }

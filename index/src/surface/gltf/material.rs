@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use glam::DVec2;
-use gltf::json::Root;
 use gltf::json::material::{AlphaMode, Material as GltfMaterial};
 use gltf::json::validation::Checked;
+use gltf::json::{Root, Value};
 
 use super::accessor::Asset;
 use super::resource;
@@ -70,14 +70,46 @@ pub(super) fn materials(root: &Root) -> Vec<Material> {
 
 fn material(given: &GltfMaterial) -> Material {
     let pbr = &given.pbr_metallic_roughness;
-    let [r, g, b, a] = pbr.base_color_factor.0;
+    let mut base = pbr.base_color_factor.0;
+    if let Some(factor) = glossy(given).and_then(|glossy| glossy.get("diffuseFactor")) {
+        for (at, value) in base.iter_mut().enumerate() {
+            *value = factor.get(at).and_then(Value::as_f64).map_or(1.0, |v| v as f32);
+        }
+    }
+    let [r, g, b, a] = base;
     let cutoff = match given.alpha_mode {
         Checked::Valid(AlphaMode::Mask) => given.alpha_cutoff.map_or(0.5, |c| c.0),
         Checked::Valid(AlphaMode::Blend) => 0.5,
         _ => 0.0,
     };
-    let texture = pbr.base_color_texture.as_ref().map(|info| info.index.value());
+    let texture = shown(given).map(|shown| shown.texture);
     Material { base: [r, g, b].map(|v| if v.is_finite() { v } else { 1.0 }), texture, cutoff: cutoff / a.max(1e-3) }
+}
+
+/// The older way to say what a material looks like.
+fn glossy(given: &GltfMaterial) -> Option<&Value> {
+    given.extensions.as_ref()?.others.get("KHR_materials_pbrSpecularGlossiness")
+}
+
+/// The texture that a material shows.
+struct Shown<'a> {
+    texture: usize,
+    set: u32,
+    transform: Option<&'a Value>,
+}
+
+fn shown(given: &GltfMaterial) -> Option<Shown<'_>> {
+    if let Some(info) = &given.pbr_metallic_roughness.base_color_texture {
+        let transform = info.extensions.as_ref().and_then(|e| e.others.get("KHR_texture_transform"));
+        return Some(Shown { texture: info.index.value(), set: info.tex_coord, transform });
+    }
+    let info = glossy(given)?.get("diffuseTexture")?;
+    let number = |name: &str| info.get(name).and_then(Value::as_u64);
+    Some(Shown {
+        texture: usize::try_from(number("index")?).ok()?,
+        set: number("texCoord").and_then(|set| u32::try_from(set).ok()).unwrap_or(0),
+        transform: info.get("extensions").and_then(|extensions| extensions.get("KHR_texture_transform")),
+    })
 }
 
 /// How a material's texture coordinates come from the mesh's: which set, and x ↦ offset + R (scale × x), R a turn to the
@@ -92,12 +124,9 @@ pub(super) struct Coordinates {
 impl Coordinates {
     pub(super) fn of(root: &Root, material: usize) -> Coordinates {
         let mut out = Coordinates { set: 0, columns: [DVec2::X, DVec2::Y], offset: DVec2::ZERO };
-        let info = root.materials.get(material).and_then(|m| m.pbr_metallic_roughness.base_color_texture.as_ref());
-        let Some(info) = info else { return out };
-        out.set = info.tex_coord;
-        let Some(given) = info.extensions.as_ref().and_then(|e| e.others.get("KHR_texture_transform")) else {
-            return out;
-        };
+        let Some(Shown { set, transform, .. }) = root.materials.get(material).and_then(shown) else { return out };
+        out.set = set;
+        let Some(given) = transform else { return out };
         let pair = |name: &str, or: DVec2| {
             let number = |at: usize| given.get(name)?.get(at)?.as_f64();
             number(0).zip(number(1)).map_or(or, |(x, y)| DVec2::new(x, y))
@@ -105,7 +134,7 @@ impl Coordinates {
         if let Some(set) = given.get("texCoord").and_then(|set| u32::try_from(set.as_u64()?).ok()) {
             out.set = set;
         }
-        let angle = given.get("rotation").and_then(serde_json::Value::as_f64).unwrap_or(0.0);
+        let angle = given.get("rotation").and_then(Value::as_f64).unwrap_or(0.0);
         let (sin, cos) = (libm::sin(angle), libm::cos(angle));
         let scale = pair("scale", DVec2::ONE);
         out.columns = [scale.x * DVec2::new(cos, -sin), scale.y * DVec2::new(sin, cos)];

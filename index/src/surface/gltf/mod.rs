@@ -7,6 +7,9 @@ mod file;
 mod material;
 mod primitive;
 
+#[cfg(test)]
+mod tests;
+
 pub use file::GltfFile;
 
 use glam::{DMat4, DQuat, DVec3};
@@ -102,12 +105,12 @@ fn resource(uri: &str, fetch: &dyn Fn(&str) -> Option<Vec<u8>>) -> Option<Vec<u8
     if uri.starts_with("data:") { mesh::inline(uri) } else { fetch(uri) }
 }
 
-/// What the positions of an asset are relative to (`CESIUM_RTC`).
+/// What the positions of an asset are relative to (`CESIUM_RTC`): said with z up, given in the asset's axes with y up.
 fn centre(root: &Root) -> DMat4 {
     let given = root.extensions.as_ref().and_then(|extensions| extensions.others.get("CESIUM_RTC")?.get("center"));
     let number = |axis: usize| given?.get(axis)?.as_f64();
     match (number(0), number(1), number(2)) {
-        (Some(x), Some(y), Some(z)) => DMat4::from_translation(DVec3::new(x, y, z)),
+        (Some(x), Some(y), Some(z)) => DMat4::from_translation(DVec3::new(x, z, -y)),
         _ => DMat4::IDENTITY,
     }
 }

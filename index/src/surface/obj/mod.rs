@@ -5,6 +5,9 @@
 
 mod mtl;
 
+#[cfg(test)]
+mod tests;
+
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -23,7 +26,7 @@ use crate::world::Georeference;
 use mtl::Look;
 
 /// Most corners of a face.
-const MAX_CORNERS: usize = 1 << 16;
+const MAX_CORNERS: usize = 1 << 14;
 /// Most things said about one file.
 const MAX_SAID: usize = 64;
 
@@ -68,7 +71,7 @@ fn number(text: &str, so_far: usize) -> Result<Option<usize>, ()> {
     Ok(match given {
         1.. => usize::try_from(given - 1).ok(),
         0 => None,
-        _ => usize::try_from(-given).ok().and_then(|back| so_far.checked_sub(back)),
+        _ => usize::try_from(given.unsigned_abs()).ok().and_then(|back| so_far.checked_sub(back)),
     })
 }
 

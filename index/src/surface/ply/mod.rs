@@ -7,6 +7,9 @@
 mod body;
 mod header;
 
+#[cfg(test)]
+mod tests;
+
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -25,7 +28,7 @@ use body::Body;
 use header::{Element, Header, Kind};
 
 /// Most corners of a face.
-const MAX_CORNERS: usize = 1 << 16;
+const MAX_CORNERS: usize = 1 << 14;
 
 /// A PLY file.
 pub struct PlyFile {
@@ -231,8 +234,8 @@ impl PlyFile {
             if faces.is_strip {
                 // −1 ends a strip.
                 let mut first = 0;
-                for at in 0..corners.len() {
-                    if corners[at] < 0.0 {
+                for (at, &corner) in corners.iter().enumerate() {
+                    if corner < 0.0 {
                         first = at + 1;
                     } else if at >= first + 2 {
                         let turned = (at - first) % 2;

@@ -14,9 +14,7 @@ use rayon::prelude::*;
 use super::block::{flags, put, stride};
 use super::looks::Looks;
 use super::measure::{Body, Measure, Soundness, middle, non_manifold_edges, soundness};
-use super::{
-    Block, IMAGES, Index, LEAVES_MAX, Repairs, Spool, SpoolError, SpoolSettings, Statistics, TRIANGLES, order,
-};
+use super::{Block, IMAGES, Index, LEAVES_MAX, Spool, SpoolError, SpoolSettings, Statistics, TRIANGLES, order};
 use crate::import::tiles3d::ContentError;
 use crate::octree::Octree;
 use crate::orthoview::raster::Triangle;
@@ -44,26 +42,8 @@ pub(super) fn fill(
 ) -> Result<Spool, SpoolError> {
     let identity = source.identity()?;
     let pieces = source.pieces();
-    let done = AtomicU64::new(0);
-    let total = AtomicU64::new(2 * pieces as u64);
-    let tick = || progress(done.fetch_add(1, Ordering::Relaxed) + 1, total.load(Ordering::Relaxed));
-
-    let (mut measure, counts) = measured(source, None, &tick)?;
-    let mut strays = None;
-    if let Some(body) = measure.body().filter(|_| !settings.keep_strays) {
-        total.fetch_add(pieces as u64, Ordering::Relaxed);
-        let (without, _) = measured(source, Some(body), &tick)?;
-        if without.repairs.strays <= measure.few() {
-            let non_manifold_edges = measure.repairs.non_manifold_edges;
-            measure = without;
-            measure.repairs.non_manifold_edges = non_manifold_edges;
-            strays = Some(body);
-        }
-    }
-    if measure.triangles == 0 {
-        let name = if pieces == 0 { String::new() } else { source.name(0).to_owned() };
-        return Err(SpoolError::Empty { name, repairs: measure.repairs });
-    }
+    let ticks = Ticks { done: AtomicU64::new(0), total: AtomicU64::new(2 * pieces as u64), progress };
+    let Survey { measure, counts, strays } = survey(source, settings.keep_strays, &ticks)?;
     let octree = Octree::over(measure.bounds, settings.leaf_side)?;
 
     fs::create_dir_all(folder).map_err(|source| SpoolError::io(folder, source))?;
@@ -81,7 +61,7 @@ pub(super) fn fill(
             .into_par_iter()
             .map(|piece| {
                 let sorted = sort(source, piece, &octree, strays);
-                tick();
+                ticks.tick();
                 sorted
             })
             .collect();
@@ -90,37 +70,117 @@ pub(super) fn fill(
         }
         first = end;
     }
-    let mut left_out: Vec<String> = Vec::new();
-    for (text, count) in &sorter.left_out {
-        left_out.push(if *count > 1 { format!("{text} ({count} times)") } else { text.clone() });
+    let left_out = said(&sorter.left_out, &measure, strays);
+    let placed = sorter.placed;
+    let image_bytes = sorter.looks.images.iter().map(|image| image.length).sum();
+    let statistics = Statistics { placed, image_bytes, left_out, ..figures(&measure) };
+    sorter.finish(folder, identity, settings, statistics)
+}
+
+/// How far the reading is.
+struct Ticks<'p> {
+    done: AtomicU64,
+    total: AtomicU64,
+    progress: Progress<'p>,
+}
+
+impl Ticks<'_> {
+    fn tick(&self) {
+        (self.progress)(self.done.fetch_add(1, Ordering::Relaxed) + 1, self.total.load(Ordering::Relaxed));
     }
-    if let Some(body) = strays {
-        let Repairs { strays, .. } = measure.repairs;
-        let Body { centre, reach } = body;
-        left_out.push(format!(
-            "{strays} triangles further than {reach:.0} m from {centre:.0}, 100 times as far as all but {} lie",
-            measure.few()
+}
+
+/// What is known before anything is sorted.
+struct Survey {
+    measure: Measure,
+    /// Triangles of each piece.
+    counts: Vec<u32>,
+    strays: Option<Body>,
+}
+
+/// Reads the source once, and once more if something lies far away.
+fn survey(source: &dyn SurfaceSource, keep_strays: bool, ticks: &Ticks<'_>) -> Result<Survey, SpoolError> {
+    let pieces = source.pieces();
+    let (mut measure, counts) = measured(source, None, ticks)?;
+    let mut strays = None;
+    if let Some(body) = measure.body().filter(|_| !keep_strays) {
+        ticks.total.fetch_add(pieces as u64, Ordering::Relaxed);
+        let (without, _) = measured(source, Some(body), ticks)?;
+        if without.repairs.strays <= measure.few() {
+            let non_manifold_edges = measure.repairs.non_manifold_edges;
+            measure = without;
+            measure.repairs.non_manifold_edges = non_manifold_edges;
+            strays = Some(body);
+        }
+    }
+    if measure.triangles == 0 {
+        let name = if pieces == 0 { String::new() } else { source.name(0).to_owned() };
+        return Err(SpoolError::Empty { name, repairs: measure.repairs });
+    }
+    Ok(Survey { measure, counts, strays })
+}
+
+/// What was left out, with how often.
+fn said(texts: &BTreeMap<String, u64>, measure: &Measure, strays: Option<Body>) -> Vec<String> {
+    let times = |(text, count): (&String, &u64)| {
+        if *count > 1 { format!("{text} ({count} times)") } else { text.clone() }
+    };
+    let mut said: Vec<String> = texts.iter().map(times).collect();
+    if let Some(Body { centre, reach }) = strays {
+        let (strays, few) = (measure.repairs.strays, measure.few());
+        said.push(format!(
+            "{strays} triangles further than {reach:.0} m from {centre:.0}, 100 times as far as all but {few} lie"
         ));
     }
-    let statistics = Statistics {
+    said
+}
+
+fn figures(measure: &Measure) -> Statistics {
+    Statistics {
         triangles: measure.triangles,
-        placed: sorter.placed,
+        placed: 0,
         area: measure.area(),
         orientations: measure.orientations(),
         bounds: measure.bounds,
         repairs: measure.repairs,
-        left_out,
-        image_bytes: sorter.looks.images.iter().map(|image| image.length).sum(),
+        left_out: Vec::new(),
+        image_bytes: 0,
         triangle_bytes: 0,
-    };
-    sorter.finish(folder, identity, settings, statistics)
+    }
+}
+
+/// What a source holds, found by reading it; nothing is sorted or written.
+pub(super) fn inspect(source: &dyn SurfaceSource, progress: Progress<'_>) -> Result<Statistics, SpoolError> {
+    let total = AtomicU64::new(2 * source.pieces() as u64);
+    let ticks = Ticks { done: AtomicU64::new(0), total, progress };
+    let Survey { measure, strays, .. } = survey(source, false, &ticks)?;
+    let mut looks = Looks::default();
+    let mut texts = BTreeMap::new();
+    let mut nowhere = std::io::sink();
+    for piece in 0..source.pieces() {
+        let mut piece = source.read(piece)?;
+        let mut left_out = std::mem::take(&mut piece.left_out);
+        let taken = looks.take(&mut piece, &mut |text| left_out.push(text), &mut nowhere);
+        taken.map_err(|source| SpoolError::io(Path::new("images"), source))?;
+        left_out.into_iter().for_each(|text| count(&mut texts, text));
+        ticks.tick();
+    }
+    let image_bytes = looks.images.iter().map(|image| image.length).sum();
+    Ok(Statistics { image_bytes, left_out: said(&texts, &measure, strays), ..figures(&measure) })
+}
+
+/// Counts what is left out; of too many different things the rest is not said.
+fn count(texts: &mut BTreeMap<String, u64>, text: String) {
+    if texts.len() < MAX_LEFT_OUT || texts.contains_key(&text) {
+        *texts.entry(text).or_default() += 1;
+    }
 }
 
 /// Reads all pieces, and adds them up. Gives the number of triangles in each, too.
 fn measured(
     source: &dyn SurfaceSource,
     body: Option<Body>,
-    tick: &(dyn Fn() + Sync),
+    ticks: &Ticks<'_>,
 ) -> Result<(Measure, Vec<u32>), ContentError> {
     let is_stray = |middle| body.is_some_and(|body| body.is_outside(middle));
     let whole = Mutex::new(Measure::default());
@@ -139,7 +199,7 @@ fn measured(
                     measure.repairs.non_manifold_edges += non_manifold_edges(&triangles);
                 }
                 counts.push(triangles.len().min(u32::MAX as usize) as u32);
-                tick();
+                ticks.tick();
                 Ok((measure, counts))
             },
         )
@@ -169,6 +229,7 @@ fn sort(source: &dyn SurfaceSource, piece: usize, octree: &Octree, strays: Optio
     });
     let mut places = Vec::with_capacity(read.triangles.len());
     let mut found = Vec::new();
+    let mut last = ([0; 3], 0);
     for (at, triangle) in read.triangles.iter().enumerate() {
         found.clear();
         let slack = SLACK * octree.leaf_side();
@@ -177,7 +238,13 @@ fn sort(source: &dyn SurfaceSource, piece: usize, octree: &Octree, strays: Optio
             let bounds = Aabb { min: a.min(b).min(c), max: a.max(b).max(c) };
             SpoolError::SmallLeaves { name: source.name(piece).to_owned(), side: octree.leaf_side(), bounds }
         })?;
-        places.extend(found.iter().map(|&place| (order::key(octree, place), at as u32)));
+        for &place in &found {
+            // Triangles that follow each other are mostly in one leaf.
+            if last.0 != place {
+                last = (place, order::key(octree, place));
+            }
+            places.push((last.1, at as u32));
+        }
     }
     places.sort_unstable();
     Ok(Sorted { piece: read, places })
@@ -247,11 +314,7 @@ impl Sorter {
         let images = &mut self.images;
         let taken = self.looks.take(&mut piece, &mut |text| said.push(text), &mut images.writer);
         taken.map_err(|source| SpoolError::io(&images.path, source))?;
-        for text in said {
-            if self.left_out.len() < MAX_LEFT_OUT || self.left_out.contains_key(&text) {
-                *self.left_out.entry(text).or_default() += 1;
-            }
-        }
+        said.into_iter().for_each(|text| count(&mut self.left_out, text));
         let first = self.triangles.len() as u32;
         self.triangles.extend_from_slice(&piece.triangles);
         self.references += places.len();

@@ -109,7 +109,7 @@ fn bin(normal: DVec3) -> usize {
     (face * BINS + step(normal[(axis + 1) % 3])) * BINS + step(normal[(axis + 2) % 3])
 }
 
-#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped far below the largest")]
+#[expect(clippy::cast_possible_truncation, reason = "clamped far below the largest")]
 fn fixed(area: f64) -> i128 {
     (area.clamp(-LARGEST, LARGEST) * FIXED) as i128
 }

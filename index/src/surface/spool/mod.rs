@@ -133,6 +133,14 @@ pub struct Statistics {
     pub triangle_bytes: u64,
 }
 
+/// What a source holds, found by reading it; nothing is sorted or written, so that it is in no leaf.
+///
+/// # Errors
+/// A source that cannot be read or has no triangles.
+pub fn inspect(source: &dyn SurfaceSource, progress: Progress<'_>) -> Result<Statistics, SpoolError> {
+    fill::inspect(source, progress)
+}
+
 /// Triangles of one leaf that lie together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Block {

@@ -28,6 +28,8 @@ pub(super) struct Target {
     density: DVec3,
     least_squared: f64,
     shown: f64,
+    /// Elements that it can show better, a bit each; all of them where the world has no directions.
+    shows: u16,
 }
 
 /// What is shown of a box in a world with directions.
@@ -44,16 +46,21 @@ impl ShownElements {
         ShownElements { errors: core::array::from_fn(|s| if surface[s] > 0.0 { errors[s] } else { 0.0 }) }
     }
 
-    /// The largest error of what any part of a box can turn to the eye: what faces it from no point of the box faces it
-    /// from none of a part.
-    fn worst(&self, centre: DVec3, half: DVec3, reach: f64) -> f64 {
-        // A hair more, for rounding.
-        let facing = element::facing(centre, half, reach + 1e-12 * (centre.length() + half.length()));
-        (0..ELEMENTS).filter(|&s| facing[s] > 0.0).map(|s| f64::from(self.errors[s])).fold(0.0, f64::max)
+    /// The largest error of what any part of a box can turn to the eye, among the elements of `shows`: what faces it from
+    /// no point of the box faces it from none of a part.
+    fn worst(&self, facing: &[f64; ELEMENTS], shows: u16) -> f64 {
+        let seen = (0..ELEMENTS).filter(|&s| facing[s] > 0.0 && shows >> s & 1 != 0);
+        seen.map(|s| f64::from(self.errors[s])).fold(0.0, f64::max)
     }
 }
 
 impl Target {
+    /// For a representation that shows some elements only: those with less than the error of `others` in `errors`.
+    pub(super) fn of_elements(self, errors: &Errors, others: &Errors) -> Target {
+        let better = (0..ELEMENTS).filter(|&s| errors[s] < others[s]);
+        Target { shows: better.fold(0, |mask, s| mask | 1 << s), ..self }
+    }
+
     /// With `shown` instead of what it was made with; of no worth where that is shown as well already.
     fn shown_as(self, shown: f64) -> Target {
         let density = if shown * shown <= self.least_squared { DVec3::ZERO } else { self.density };
@@ -64,13 +71,13 @@ impl Target {
     pub(super) fn new(bounds: &Beneath, shown: f32) -> Target {
         let [x, y, z] = bounds.density.map(f64::from);
         let least = f64::from(bounds.least_error);
-        Target { density: DVec3::new(x, y, z), least_squared: least * least, shown: f64::from(shown) }
+        Target { density: DVec3::new(x, y, z), least_squared: least * least, shown: f64::from(shown), shows: u16::MAX }
     }
 
     /// For everything that has these face areas, m², instead of an area per byte.
     pub(super) fn of_area(areas: DVec3, least_error: f32, shown: f32) -> Target {
         let least = f64::from(least_error);
-        Target { density: areas, least_squared: least * least, shown: f64::from(shown) }
+        Target { density: areas, least_squared: least * least, shown: f64::from(shown), shows: u16::MAX }
     }
 
     /// Largest accuracy that can be added at a sharpness of exactly `s`.
@@ -184,8 +191,11 @@ impl Objective {
         let distance = squared.sqrt();
         let shown_from = term.eye.shown_distance(distance);
         if let Some(elements) = elements {
-            let worst = elements.worst(centre, half, term.eye.reach());
-            let targets: Vec<Target> = targets.iter().map(|target| target.shown_as(worst)).collect();
+            // A hair more, for rounding.
+            let slack = 1e-12 * (centre.length() + half.length());
+            let facing = element::facing(centre, half, term.eye.reach() + slack);
+            let shown = |target: &Target| target.shown_as(elements.worst(&facing, target.shows));
+            let targets: Vec<Target> = targets.iter().map(shown).collect();
             return self.bound_from(index, weight, centre, half, &targets, None, out);
         }
         if distance <= 0.0 || (!reachable && shown_from > distance) {

@@ -263,14 +263,19 @@ impl Search {
         self.reps.clear();
         let mut least_wire = f32::INFINITY;
         for rep in tree.own(node) {
-            let improves = match &elements {
-                Some(elements) => element::improves(&element::errors(tree, rep), &elements.errors),
-                None => (tree.error(rep) as f32) < worst_shown,
+            let errors = elements.as_ref().map(|_| element::errors(tree, rep));
+            let improves = match (&errors, &elements) {
+                (Some(errors), Some(elements)) => element::improves(errors, &elements.errors),
+                _ => (tree.error(rep) as f32) < worst_shown,
             };
             if improves && !standing.plan().contains(rep) {
                 least_wire = least_wire.min((tree.wire_bytes(rep) as f32).next_down());
                 let density = tree.face_areas(node) / tree.wire_bytes(rep) as f64;
-                self.targets.push(Target::of_area(density, tree.error(rep) as f32, worst_shown));
+                let target = Target::of_area(density, tree.error(rep) as f32, worst_shown);
+                self.targets.push(match (&errors, &elements) {
+                    (Some(errors), Some(elements)) => target.of_elements(errors, &elements.errors),
+                    _ => target,
+                });
                 self.reps.push(rep);
             }
         }

@@ -1,12 +1,14 @@
 //! `inspect`: what files contain, and the pressure to expect when they are replayed together.
 
 mod link;
+mod mesh;
 mod path;
 mod world;
 
 use anyhow::bail;
 use clap::Args;
 use foresight_index::specification;
+use foresight_index::surface::{self, SurfaceSource};
 use foresight_index::world::{World, WorldError};
 use foresight_scheduler::benefit::cut::CutSettings;
 use foresight_sim::outcome::regime;
@@ -18,9 +20,11 @@ use std::io::Write;
 use std::path::Path;
 
 #[derive(Debug, Args)]
-#[command(after_help = "Examples:\n  foresight-sim inspect tiles/\n  foresight-sim inspect mosaic16 walk.txt lte.down")]
+#[command(
+    after_help = "Examples:\n  foresight-sim inspect tiles/\n  foresight-sim inspect scan.obj,up=y\n  foresight-sim inspect mosaic16 walk.txt lte.down"
+)]
 pub(crate) struct InspectArgs {
-    /// Worlds, paths and links, told apart by their content; given a world and a path together, also the pressure
+    /// Worlds, meshes (GLB, glTF, OBJ, PLY), paths and links, told apart by their content; given a world and a path together, also the pressure
     #[arg(required = true, value_name = "FILE")]
     files: Vec<String>,
     #[command(flatten)]
@@ -28,15 +32,20 @@ pub(crate) struct InspectArgs {
 }
 
 enum Input {
+    Mesh(Box<dyn SurfaceSource>),
     World(Box<World>),
     Path(CameraPath),
     Link(LinkTrace),
 }
 
-/// Tries the three kinds; if none fits, says why each does not. A table of positions and bitrates is a path and a link.
+/// A mesh by its first bytes; else tries the other three kinds; if none fits, says why each does not. A table of positions and bitrates is a path and a link.
 fn recognise(file: &str, args: &PathArgs) -> anyhow::Result<Vec<Input>> {
     if specification::is_specification(file) {
         return Ok(vec![Input::World(Box::new(arguments::world_named(file)?))]);
+    }
+    if surface::is_mesh(file) {
+        let progress: specification::Progress = std::sync::Arc::new(|_, _| {});
+        return Ok(vec![Input::Mesh(surface::open(file, &progress)?)]);
     }
     let generated = file.starts_with("constant:") || arguments::MADE_PATHS.iter().any(|made| file.starts_with(made));
     if !generated && !Path::new(file.split(',').next().unwrap_or(file)).exists() {
@@ -70,6 +79,7 @@ pub(crate) fn run(args: &InspectArgs) -> anyhow::Result<()> {
     for file in &args.files {
         for input in recognise(file, &args.path_args)? {
             match input {
+                Input::Mesh(source) => mesh::describe(&mut out, file, &*source)?,
                 Input::World(world) => {
                     world::describe(&mut out, file, &world)?;
                     worlds.push(world);
