@@ -20,7 +20,7 @@ fn cell(x: u64) -> Cell {
 }
 
 fn triangle(corners: [DVec3; 3]) -> Triangle {
-    Triangle { corners, ..Triangle::default() }
+    Triangle { corners, uv: [DVec2::ZERO; 3], material: 0, tint: Triangle::WHITE, two_sided: false }
 }
 
 /// A hilly square over both leaves and a little beyond, `cells` along x, textured once over.
@@ -38,7 +38,7 @@ fn hills(cells: u32, height: f64) -> Vec<Triangle> {
                 let corner = |(x, y): (u32, u32)| at(i + x, j + y);
                 let shown = |(x, y): (u32, u32)| uv(i + x, j + y);
                 let (corners, uv) = ([corner(a), corner(b), corner(c)], [shown(a), shown(b), shown(c)]);
-                triangles.push(Triangle { corners, uv, ..Triangle::default() });
+                triangles.push(Triangle { corners, uv, material: 0, tint: Triangle::WHITE, two_sided: false });
             }
         }
     }
@@ -49,7 +49,7 @@ fn hills(cells: u32, height: f64) -> Vec<Triangle> {
 fn painted() -> Materials {
     let texels = (0..500 * 500_u32).map(|i| [(i % 251) as u8, (i / 977) as u8, (i * 31 % 256) as u8, 255]).collect();
     let material = Material { texture: Some(0), ..Material::default() };
-    Materials { materials: vec![material], textures: vec![Some(Texture::new(500, 500, texels).into())] }
+    Materials { materials: vec![material], textures: vec![Some(std::sync::Arc::new(Texture::new(500, 500, texels)))] }
 }
 
 fn made(content: &[Triangle], materials: &Materials, place: u64) -> Vec<GeometryLevel> {
