@@ -307,7 +307,10 @@ fn schemathesis_finds_nothing() {
         let schema = format!("http://127.0.0.1:{}/openapi.json", server.port());
         let checks = "not_a_server_error,response_schema_conformance,content_type_conformance";
         let examples = "500";
+        // It keeps a cache where it runs.
+        let folder = tempfile::tempdir().expect("a folder");
         let ended = std::process::Command::new(&program)
+            .current_dir(folder.path())
             .args([
                 "run",
                 &schema,
