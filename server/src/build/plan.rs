@@ -206,7 +206,8 @@ fn told(sight: &Sight) -> Directions {
 
 /// To six places, for people.
 pub(super) fn round(value: f64) -> f64 {
-    (value * 1e6).round() / 1e6
+    // Not −0.
+    (value * 1e6).round() / 1e6 + 0.0
 }
 
 /// `webp:QUALITY`, `jpeg:QUALITY`, or without loss `webp` or `png`.

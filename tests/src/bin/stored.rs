@@ -51,7 +51,7 @@ impl World {
 
 #[derive(Debug, Subcommand)]
 enum Figure {
-    /// Leaves against ray-cast ground truth, parents against drawing them directly and against supersampling ([HIBR] Figure
+    /// Leaves against ray-cast ground truth, parents against drawing them directly and against supersampling (HIBR Figure
     /// 6), connectivity on made cases
     Correct {
         #[command(flatten)]
@@ -80,7 +80,7 @@ enum Figure {
         #[arg(long, default_value_t = 8, value_name = "N")]
         cells: usize,
     },
-    /// Bytes, instructions, time and memory of building against leaf cells ([HIBR] Figure 9)
+    /// Bytes, instructions, time and memory of building against leaf cells (HIBR Figure 9)
     Linear {
         /// Blocks along the city's side
         #[arg(long, value_delimiter = ',', default_value = "2,4,8,16", value_name = "N,…")]
@@ -104,7 +104,7 @@ enum Figure {
         #[arg(long, hide = true)]
         unbuilt: bool,
     },
-    /// Orthoviews as a share of the geometry, beside [HIBR] and [DRVW]
+    /// Orthoviews as a share of the geometry, beside HIBR and DRVW
     Storage {
         /// WORLD,LEAF METRES,PIXELS; may be repeated
         #[arg(long = "case", value_name = "CASE", default_values_t = ["city:blocks=8;200;512".to_owned(), "city:blocks=8;100;128".to_owned()])]
@@ -122,7 +122,7 @@ enum Figure {
         #[arg(long, default_value_t = 64, value_name = "N")]
         leaves: usize,
     },
-    /// Cells and bandwidth as the world grows, [DRVW] Table 1 and Figure 6, time to a first view
+    /// Cells and bandwidth as the world grows, DRVW Table 1 and Figure 6, time to a first view
     Headline {
         #[command(flatten)]
         world: World,
