@@ -26,14 +26,15 @@ pub fn restored(codes: &[u16], width: usize) -> Vec<u16> {
 
 /// The guess for a pixel by those before it.
 fn guess(depths: &[u16], at: usize, width: usize) -> i32 {
+    let width = width.max(1);
     let before = |back: usize| i32::from(depths[at - back]);
-    match (at.is_multiple_of(width.max(1)), at < width) {
+    match (at.is_multiple_of(width), at < width) {
         (false, false) => {
             let (a, b, c) = (before(1), before(width), before(width + 1));
             (a + b - c).clamp(a.min(b), a.max(b))
         }
         (false, true) => before(1),
-        (true, false) => before(width.max(1)),
+        (true, false) => before(width),
         (true, true) => 0,
     }
 }
