@@ -65,7 +65,8 @@ fn files(world: &Path) -> BTreeSet<String> {
 fn a_killed_build_goes_on_and_ends_the_same() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let folder = folder.path();
-    let (blocks, kills) = if full().is_ok() { ("6", 10) } else { ("2", 3) };
+    // What was made before a kill stays, so that the moments together reach beyond a whole build.
+    let (blocks, kills, reach) = if full().is_ok() { ("6", 10, 3.0) } else { ("2", 3, 1.5) };
     generate(folder, blocks);
     #[expect(clippy::disallowed_methods, reason = "when to kill, as a share of what an undisturbed build takes")]
     let begun = Instant::now();
@@ -73,9 +74,9 @@ fn a_killed_build_goes_on_and_ends_the_same() {
     let takes = begun.elapsed();
     let mut state = 20_240_607u64;
     for kill in 0..kills {
-        // From a tenth to nine tenths of the time, so that some hit the first pass and some the end.
+        // From a tenth to nine tenths of it, so that some hit the first pass and some the end.
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        let share = 0.1 + 0.8 * (state >> 40) as f64 / (1u64 << 24) as f64;
+        let share = reach / f64::from(kills) * (0.1 + 0.8 * (state >> 40) as f64 / (1u64 << 24) as f64);
         let mut child = Command::new(program::built("foresight-server"))
             .args(arguments("killed", &[]))
             .current_dir(folder)
@@ -84,7 +85,7 @@ fn a_killed_build_goes_on_and_ends_the_same() {
             .stderr(Stdio::null())
             .spawn()
             .expect("the program starts");
-        std::thread::sleep(takes.mul_f64(share / f64::from(kills)));
+        std::thread::sleep(takes.mul_f64(share));
         child.kill().expect("a child can be killed");
         child.wait().expect("a child can be waited for");
         let document = folder.join("killed/world.toml");
@@ -92,7 +93,7 @@ fn a_killed_build_goes_on_and_ends_the_same() {
             // Whoever reads sees nothing or a whole world.
             stored::open(&folder.join("killed")).expect("what is published is whole");
         }
-        println!("kill {kill} after {:.2} of an undisturbed build", share / f64::from(kills));
+        println!("kill {kill} after {:.2} of an undisturbed build", share);
     }
     let resumed = build(folder, "killed", &[]);
     assert_eq!(resumed["identity"], whole["identity"]);
