@@ -204,8 +204,8 @@ pub fn parse(bytes: &[u8]) -> Result<Document, DocumentError> {
         return Err(value("format", format!("{:?}", head.format), &format!("{FORMAT:?}")));
     }
     if head.schema_version != SCHEMA_VERSION {
-        let age = if head.schema_version > SCHEMA_VERSION { "newer" } else { "older" };
-        let expected = format!("{SCHEMA_VERSION}: the world was built by a program of a {age} schema; build it again");
+        let age = if head.schema_version > SCHEMA_VERSION { "a newer" } else { "an older" };
+        let expected = format!("{SCHEMA_VERSION}: the world was built by a program of {age} schema; build it again");
         return Err(value("schema_version", head.schema_version.to_string(), &expected));
     }
     let document: Document = toml::from_str(text).map_err(toml)?;
