@@ -375,7 +375,7 @@ mod tests {
             let tree = quadtree(5, 320.0);
             let view = view(DVec3::new(x, y, 0.3 * x), yaw, pitch);
             let exact = by_leaf(&tree, &view);
-            for (opening, tolerance) in [(0.3, 0.04), (0.15, 0.015), (0.0, 1e-9)] {
+            for (opening, tolerance) in [(0.3, 0.03), (0.15, 0.015), (0.0, 1e-9)] {
                 let mut cut = Cut::default();
                 cut.make(&tree, &view, Region::Frustum, &CutSettings { opening, ..CutSettings::default() });
                 prop_assert!((cut.total_weight - exact).abs() <= tolerance * exact.max(0.05), "θ = {opening}: {} {exact}", cut.total_weight);

@@ -12,8 +12,6 @@ use crate::{files, is_sound, recovery};
 
 /// Of the link, bytes/s: 8 Mbit/s.
 const RATE: f64 = 1_000_000.0;
-/// Until a failed representation is asked for again: 0.5 s, then 1 s.
-const ASKED_AGAIN_S: f64 = 1.5;
 
 /// Every third content fails once: the client says so, and gets it later.
 fn spoiled(fault: Fault, reason: &str) {
@@ -74,7 +72,6 @@ fn healed(folder: &Path, case: &Case, fault: Fault) {
     let over_s = failed.map(|line| line.t_ns).max().expect("something has failed") as f64 * 1e-9;
     let name = format!("{fault:?} until {over_s:.1} s");
     let (allowed, returned) = recovery(&name, case, (&undisturbed, &disturbed), over_s, RATE);
-    let allowed = allowed + ASKED_AGAIN_S;
     assert!(returned.is_some_and(|returned| returned <= allowed), "{returned:?} of {allowed} s");
 }
 
