@@ -8,10 +8,14 @@ pub mod camera;
 pub mod clock;
 pub mod connection;
 pub mod crowd;
+#[cfg(feature = "draw")]
+pub mod draw;
 pub mod events;
 pub mod fetch;
 pub mod modelled;
 pub mod residency;
+#[cfg(feature = "draw")]
+pub mod scene;
 pub mod session;
 pub mod statistics;
 pub mod summary;

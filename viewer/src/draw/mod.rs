@@ -1,0 +1,3 @@
+//! What to draw of what is there: from the LOD tree, the resident representations and the view to a list.
+
+pub mod list;

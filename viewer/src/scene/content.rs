@@ -1,0 +1,102 @@
+//! Decoded contents, as the GPU takes them.
+
+use foresight_index::orthoview::Direction;
+use foresight_scheduler::lod_tree::Aabb;
+use glam::DVec3;
+use std::sync::Arc;
+
+/// What is drawn for a representation.
+#[derive(Clone, Debug)]
+pub enum Content {
+    /// An orthoview: one splat a pixel that shows something.
+    Splats(SplatImage),
+    /// Triangles.
+    Mesh(Mesh),
+    /// Nothing that could be drawn: an empty tile.
+    Empty,
+}
+
+/// An orthoview. Pixel (column, row), rows growing upwards, with its depth's code d is at
+/// `origin + pixel·(column·right + row·up) − d/1023·range·towards_eye`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SplatImage {
+    /// From the content to the eye.
+    pub direction: Direction,
+    /// The middle of the first pixel at depth 0, metres in the world.
+    pub origin: DVec3,
+    /// Unit vectors along columns and rows, and to the eye, world space.
+    pub right: DVec3,
+    /// Along rows, upwards.
+    pub up: DVec3,
+    /// To the eye.
+    pub towards_eye: DVec3,
+    /// Side of a pixel, metres.
+    pub pixel: f64,
+    /// Metres from depth's code 0 to 1023.
+    pub range: f64,
+    /// Columns and rows.
+    pub size: [u32; 2],
+    /// sRGB, four bytes a pixel, the fourth 255.
+    pub colours: Vec<u8>,
+    /// Low ten bits: steps of the depth; upper six: [`foresight_index::orthoview::Links::bits`]. One a pixel.
+    pub shapes: Vec<u16>,
+    /// On the octahedron, two bytes a pixel; empty where the file has none.
+    pub normals: Vec<u8>,
+    /// Box of the cell, metres in the world.
+    pub bounds: Aabb,
+}
+
+/// Triangles with their materials.
+#[derive(Clone, Debug)]
+pub struct Mesh {
+    /// What vertices are relative to, metres in the world.
+    pub origin: DVec3,
+    /// All parts' vertices.
+    pub vertices: Vec<Vertex>,
+    /// Three a triangle, counter-clockwise from the front.
+    pub indices: Vec<u32>,
+    /// Runs of indices by material.
+    pub parts: Vec<Part>,
+    /// By number.
+    pub textures: Vec<Arc<TextureImage>>,
+    /// Box around the vertices, metres in the world.
+    pub bounds: Aabb,
+}
+
+/// A corner of a triangle.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct Vertex {
+    /// Metres from the mesh's origin.
+    pub position: [f32; 3],
+    /// Unit, world space.
+    pub normal: [f32; 3],
+    /// Texture coordinates; (0, 0) is the first texel's corner.
+    pub uv: [f32; 2],
+    /// sRGB, multiplied with the material's colour in linear light; the fourth is 255.
+    pub tint: [u8; 4],
+}
+
+/// Triangles that look alike.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Part {
+    /// First index, and how many.
+    pub indices: std::ops::Range<u32>,
+    /// Linear light, multiplied with the texture.
+    pub base: [f32; 3],
+    /// Which of the mesh's textures.
+    pub texture: Option<usize>,
+    /// What is less opaque than this is a hole; 0 where nothing is.
+    pub cutoff: f32,
+    /// Whether backs are seen too.
+    pub two_sided: bool,
+}
+
+/// An image on triangles.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TextureImage {
+    /// Columns and rows.
+    pub size: [u32; 2],
+    /// sRGB and opacity, four bytes a texel, first row first.
+    pub texels: Vec<u8>,
+}

@@ -1,0 +1,3 @@
+//! What a representation is once it is decoded: splats or triangles, in memory, ready to be uploaded.
+
+pub mod content;
