@@ -173,15 +173,15 @@ fn far_texture_coordinates_stay_fine_and_sides_are_kept_apart() {
 
 #[test]
 fn every_content_of_recorded_tilesets_is_drawn_within_its_bounds() {
-    for (name, credited) in [
-        ("mars_dingo_gap_3dtiles", false),
-        ("cesium_metadata_granularities", false),
-        ("cesium_sparse_implicit_quadtree", false),
+    for (name, expected) in [
+        ("mars_dingo_gap_3dtiles", 298_357),
+        ("cesium_metadata_granularities", 10_868),
+        ("cesium_sparse_implicit_quadtree", 64),
     ] {
         let Some(path) = data(&format!("scenes/{name}")) else { continue };
         let (world, source) = Source::open(&path.to_string_lossy()).expect("a tileset");
         assert_eq!(source.refusal(), None);
-        let (mut triangles, mut textures, mut credits) = (0, 0, 0);
+        let mut triangles = 0;
         for rep in (0..world.tree.representations() as u32).map(RepId) {
             let bytes = source.bytes(&world, rep).expect("a file");
             let decoded = decode(&world, &source, rep, &bytes).unwrap_or_else(|error| panic!("{error}"));
@@ -196,11 +196,8 @@ fn every_content_of_recorded_tilesets_is_drawn_within_its_bounds() {
             );
             assert!(mesh.vertices.iter().flat_map(|v| v.position.iter().chain(&v.normal)).all(|v| v.is_finite()));
             triangles += mesh.indices.len() / 3;
-            textures += mesh.textures.len();
-            credits += usize::from(decoded.credit.is_some());
         }
-        println!("{name}: {triangles} triangles, {textures} textures, {credits} credits");
-        assert!(triangles > 1000 && (credits > 0) >= credited, "{name}");
+        assert_eq!(triangles, expected, "{name}");
     }
 }
 

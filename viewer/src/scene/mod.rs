@@ -2,5 +2,6 @@
 
 pub mod content;
 pub mod decode;
+pub mod loader;
 pub mod source;
 mod texture;
