@@ -185,14 +185,14 @@ pub fn meshed(piece: Piece) -> (Content, Vec<String>) {
                 glam::DVec2::ZERO
             };
             let own = normals.get(at).copied().unwrap_or_default();
-            for corner in 0..3 {
+            for (corner, normal) in own.into_iter().enumerate() {
                 let [r, g, b] = triangle.tint[corner];
                 let position = narrowed(triangle.corners[corner] - origin);
                 let uv = triangle.uv[corner] - shift;
                 #[expect(clippy::cast_possible_truncation, reason = "within a few repetitions of the texture")]
                 let uv = [uv.x as f32, uv.y as f32];
-                let vertex = Vertex { position, normal: own[corner], uv, tint: [r, g, b, 255] };
-                let ([a, b, c], [d, e, f], [g, h]) = (position, own[corner], uv);
+                let vertex = Vertex { position, normal, uv, tint: [r, g, b, 255] };
+                let ([a, b, c], [d, e, f], [g, h]) = (position, normal, uv);
                 let key = Key([a, b, c, d, e, f, g, h].map(f32::to_bits), vertex.tint);
                 let next = mesh.vertices.len() as u32;
                 let index = *known.entry(key).or_insert(next);

@@ -92,6 +92,14 @@ fn ordered(rank: f64) -> u64 {
     if bits >> 63 == 1 { !bits } else { bits | 1 << 63 }
 }
 
+impl LoaderSettings {
+    /// As by default, with no more than an eighth of a memory budget waiting to be taken.
+    pub fn within(budget: u64) -> LoaderSettings {
+        let settings = LoaderSettings::default();
+        LoaderSettings { finished_bytes_max: settings.finished_bytes_max.min(budget / 8), ..settings }
+    }
+}
+
 impl Loader {
     /// Starts the threads.
     ///

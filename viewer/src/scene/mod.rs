@@ -3,5 +3,6 @@
 pub mod content;
 pub mod decode;
 pub mod loader;
+pub mod resident;
 pub mod source;
 mod texture;
