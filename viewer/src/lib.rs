@@ -12,6 +12,8 @@ pub mod crowd;
 pub mod draw;
 pub mod events;
 pub mod fetch;
+#[cfg(feature = "draw")]
+pub mod gpu;
 pub mod modelled;
 pub mod residency;
 #[cfg(feature = "draw")]
