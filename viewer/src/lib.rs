@@ -15,6 +15,8 @@ pub mod draw;
 pub mod events;
 pub mod exchange;
 pub mod fetch;
+#[cfg(feature = "draw")]
+pub mod gpu;
 pub mod modelled;
 pub mod residency;
 #[cfg(feature = "draw")]

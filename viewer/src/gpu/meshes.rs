@@ -1,0 +1,180 @@
+//! Triangles on the GPU: a buffer of vertices, one of indices, and a texture a part.
+
+use super::device::GpuError;
+use super::pipelines::{Layouts, Pipelines};
+use crate::scene::content::{Mesh, TextureImage};
+use glam::DVec3;
+use wgpu::util::DeviceExt;
+
+/// A mesh on the GPU.
+#[derive(Clone, Debug)]
+pub(crate) struct Triangles {
+    pub(crate) origin: DVec3,
+    vertices: wgpu::Buffer,
+    indices: wgpu::Buffer,
+    parts: Vec<DrawnPart>,
+    pub(crate) bytes: u64,
+}
+
+#[derive(Clone, Debug)]
+struct DrawnPart {
+    indices: core::ops::Range<u32>,
+    two_sided: bool,
+    group: wgpu::BindGroup,
+}
+
+/// Levels of an image by averaging 2 × 2 texels in linear light, down to one texel; opacity is averaged as it is.
+/// Colours count by their opacity, so that what is invisible does not bleed.
+fn levels(image: &TextureImage) -> (u32, Vec<u8>) {
+    use foresight_index::orthoview::texture::{encoded, linear};
+    let mut data = image.texels.clone();
+    let mut level = image.texels.clone();
+    let [mut width, mut height] = image.size.map(|side| side as usize);
+    let mut count = 1;
+    while width > 1 || height > 1 {
+        let (columns, rows) = ((width / 2).max(1), (height / 2).max(1));
+        let mut next = Vec::with_capacity(4 * columns * rows);
+        for row in 0..rows {
+            for column in 0..columns {
+                let (mut light, mut opacity) = ([0.0f32; 3], 0.0f32);
+                for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+                    let at = 4 * ((2 * row + dy).min(height - 1) * width + (2 * column + dx).min(width - 1));
+                    let alpha = f32::from(level[at + 3]) / 255.0;
+                    opacity += alpha;
+                    for (sum, &byte) in light.iter_mut().zip(&level[at..at + 3]) {
+                        *sum += alpha.max(1e-3) * linear(byte);
+                    }
+                }
+                let weight = opacity.max(4e-3);
+                next.extend(light.map(|sum| encoded((sum / weight).min(1.0))));
+                #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "0 to 255")]
+                next.push((63.75 * opacity).round() as u8);
+            }
+        }
+        data.extend_from_slice(&next);
+        (level, width, height) = (next, columns, rows);
+        count += 1;
+    }
+    (count, data)
+}
+
+fn check(mesh: &Mesh, limits: &wgpu::Limits) -> Result<(), GpuError> {
+    let vertices = mesh.vertices.len() as u64;
+    let buffers = [
+        ("bytes of a mesh's vertices", size_of_val(mesh.vertices.as_slice()) as u64),
+        ("bytes of a mesh's indices", size_of_val(mesh.indices.as_slice()) as u64),
+    ];
+    if let Some((what, found)) = buffers.into_iter().find(|&(_, found)| found > limits.max_buffer_size) {
+        return Err(GpuError::TooLarge { what, found, most: limits.max_buffer_size });
+    }
+    if let Some(&index) = mesh.indices.iter().find(|&&index| u64::from(index) >= vertices) {
+        return Err(GpuError::Content {
+            what: "a mesh's index, beyond its vertices",
+            found: index.into(),
+            expected: vertices,
+        });
+    }
+    for part in &mesh.parts {
+        let most = mesh.indices.len() as u64;
+        if part.indices.start > part.indices.end || u64::from(part.indices.end) > most {
+            return Err(GpuError::Content {
+                what: "the end of a part",
+                found: part.indices.end.into(),
+                expected: most,
+            });
+        }
+        if part.texture.is_some_and(|texture| texture >= mesh.textures.len()) {
+            let found = part.texture.unwrap_or_default() as u64;
+            return Err(GpuError::Content { what: "a part's texture", found, expected: mesh.textures.len() as u64 });
+        }
+    }
+    for texture in &mesh.textures {
+        let [columns, rows] = texture.size.map(u64::from);
+        let expected = 4 * columns * rows;
+        if texture.texels.len() as u64 != expected || expected == 0 {
+            return Err(GpuError::Content { what: "bytes of a texture", found: texture.texels.len() as u64, expected });
+        }
+        let most = limits.max_texture_dimension_2d.into();
+        if columns.max(rows) > most {
+            return Err(GpuError::TooLarge { what: "a side of a texture", found: columns.max(rows), most });
+        }
+    }
+    Ok(())
+}
+
+impl Triangles {
+    /// `None` for a mesh without triangles.
+    pub(crate) fn upload(
+        device: &wgpu::Device,
+        queue: &wgpu::Queue,
+        layouts: &Layouts,
+        sampler: &wgpu::Sampler,
+        mesh: &Mesh,
+    ) -> Result<Option<Triangles>, GpuError> {
+        check(mesh, &device.limits())?;
+        if mesh.indices.len() < 3 || mesh.parts.is_empty() {
+            return Ok(None);
+        }
+        let mut bytes = 0;
+        let mut buffer = |label, contents: &[u8], usage| {
+            bytes += contents.len() as u64;
+            device.create_buffer_init(&wgpu::util::BufferInitDescriptor { label: Some(label), contents, usage })
+        };
+        let vertices = buffer("vertices", bytemuck::cast_slice(&mesh.vertices), wgpu::BufferUsages::VERTEX);
+        let indices = buffer("indices", bytemuck::cast_slice(&mesh.indices), wgpu::BufferUsages::INDEX);
+        let white = TextureImage { size: [1, 1], texels: vec![255; 4] };
+        let mut views = Vec::with_capacity(mesh.textures.len() + 1);
+        for image in mesh.textures.iter().map(|image| &**image).chain([&white]) {
+            let (count, data) = levels(image);
+            bytes += data.len() as u64;
+            let descriptor = wgpu::TextureDescriptor {
+                label: Some("texture"),
+                size: wgpu::Extent3d { width: image.size[0], height: image.size[1], depth_or_array_layers: 1 },
+                mip_level_count: count,
+                sample_count: 1,
+                dimension: wgpu::TextureDimension::D2,
+                format: wgpu::TextureFormat::Rgba8UnormSrgb,
+                usage: wgpu::TextureUsages::TEXTURE_BINDING,
+                view_formats: &[],
+            };
+            let texture =
+                device.create_texture_with_data(queue, &descriptor, wgpu::wgt::TextureDataOrder::LayerMajor, &data);
+            views.push(texture.create_view(&wgpu::TextureViewDescriptor::default()));
+        }
+        let parts = mesh.parts.iter().map(|part| {
+            let [red, green, blue] = part.base;
+            let uniform = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+                label: Some("part"),
+                contents: bytemuck::cast_slice(&[red, green, blue, part.cutoff]),
+                usage: wgpu::BufferUsages::UNIFORM,
+            });
+            let view = &views[part.texture.unwrap_or(mesh.textures.len())];
+            let entry = |binding, resource| wgpu::BindGroupEntry { binding, resource };
+            let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
+                label: Some("part"),
+                layout: &layouts.part,
+                entries: &[
+                    entry(0, uniform.as_entire_binding()),
+                    entry(1, wgpu::BindingResource::TextureView(view)),
+                    entry(2, wgpu::BindingResource::Sampler(sampler)),
+                ],
+            });
+            DrawnPart { indices: part.indices.clone(), two_sided: part.two_sided, group }
+        });
+        Ok(Some(Triangles { origin: mesh.origin, vertices, indices, parts: parts.collect(), bytes }))
+    }
+
+    /// Draws all parts, and counts triangles and draws.
+    pub(crate) fn draw(&self, pass: &mut wgpu::RenderPass<'_>, pipelines: &Pipelines) -> [u64; 2] {
+        pass.set_vertex_buffer(0, self.vertices.slice(..));
+        pass.set_index_buffer(self.indices.slice(..), wgpu::IndexFormat::Uint32);
+        let mut triangles = 0;
+        for part in &self.parts {
+            pass.set_pipeline(&pipelines.meshes[usize::from(part.two_sided)]);
+            pass.set_bind_group(2, &part.group, &[]);
+            pass.draw_indexed(part.indices.clone(), 0, 0..1);
+            triangles += u64::from(part.indices.end - part.indices.start) / 3;
+        }
+        [triangles, self.parts.len() as u64]
+    }
+}

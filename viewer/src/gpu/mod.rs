@@ -1,0 +1,21 @@
+//! Drawing with wgpu: splats and triangles, camera-relative, with a reversed, infinite depth.
+//!
+//! [`Gpu`] is an adapter and its device; a [`Renderer`] keeps what is uploaded and draws a
+//! [`DrawList`](crate::draw::list::DrawList). World positions are f64 up to [`relative`], the one place that narrows them.
+
+pub mod device;
+mod distance;
+mod item;
+mod meshes;
+mod picture;
+mod pipelines;
+pub mod relative;
+pub mod renderer;
+pub mod settings;
+mod splats;
+mod targets;
+
+pub use device::{Gpu, GpuError, GpuSettings};
+pub use picture::Picture;
+pub use renderer::{FrameCounts, Renderer};
+pub use settings::{Background, Light, RenderSettings, SplatShape};

@@ -1,0 +1,62 @@
+//! What a frame is drawn into besides its target: depths, and the samples that become pixels.
+
+use super::device::GpuError;
+
+/// Of depths: reversed, so that f32 keeps its digits far away.
+pub(crate) const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
+
+/// Most bytes of a frame's depths and samples: with more a large window has one sample a pixel, and then none at all.
+const BYTES_MAX: u64 = 1 << 30;
+
+/// Attachments of a size.
+#[derive(Clone, Debug)]
+pub(crate) struct Targets {
+    pub(crate) size: [u32; 2],
+    pub(crate) samples: u32,
+    pub(crate) depth: wgpu::TextureView,
+    /// Samples of the colours, where there are several a pixel.
+    pub(crate) colours: Option<wgpu::TextureView>,
+}
+
+/// Samples a pixel that fit: 4 if asked for and within the bound, else 1.
+///
+/// # Errors
+/// A picture without pixels, or too large.
+pub(crate) fn fitting(limits: &wgpu::Limits, size: [u32; 2], samples: u32) -> Result<u32, GpuError> {
+    let most = limits.max_texture_dimension_2d;
+    let pixels = u64::from(size[0]) * u64::from(size[1]);
+    let refused = GpuError::Size(size[0], size[1], most, BYTES_MAX >> 20);
+    if pixels == 0 || size.iter().any(|&side| side > most) {
+        return Err(refused);
+    }
+    match samples {
+        4.. if pixels.saturating_mul(4 * (4 + 4)) <= BYTES_MAX => Ok(4),
+        _ if pixels.saturating_mul(4 + 4) <= BYTES_MAX => Ok(1),
+        _ => Err(refused),
+    }
+}
+
+impl Targets {
+    pub(crate) fn new(device: &wgpu::Device, format: wgpu::TextureFormat, size: [u32; 2], samples: u32) -> Targets {
+        let make = |label, format, usage| {
+            let texture = device.create_texture(&wgpu::TextureDescriptor {
+                label: Some(label),
+                size: wgpu::Extent3d { width: size[0], height: size[1], depth_or_array_layers: 1 },
+                mip_level_count: 1,
+                sample_count: samples,
+                dimension: wgpu::TextureDimension::D2,
+                format,
+                usage,
+                view_formats: &[],
+            });
+            texture.create_view(&wgpu::TextureViewDescriptor::default())
+        };
+        let attachment = wgpu::TextureUsages::RENDER_ATTACHMENT;
+        Targets {
+            size,
+            samples,
+            depth: make("depth", DEPTH_FORMAT, attachment | wgpu::TextureUsages::TEXTURE_BINDING),
+            colours: (samples > 1).then(|| make("samples", format, attachment)),
+        }
+    }
+}
