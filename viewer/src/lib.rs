@@ -18,9 +18,13 @@ pub mod fetch;
 #[cfg(feature = "draw")]
 pub mod gpu;
 pub mod modelled;
+#[cfg(feature = "window")]
+pub mod overlay;
 pub mod residency;
 #[cfg(feature = "draw")]
 pub mod scene;
 pub mod session;
 pub mod statistics;
 pub mod summary;
+#[cfg(feature = "window")]
+pub mod window;

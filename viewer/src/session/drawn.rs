@@ -8,7 +8,6 @@ use crate::fetch::Http;
 use crate::summary::Summary;
 use foresight_traces::flight::tick_time;
 use foresight_wire::message::Fetch;
-use std::collections::BTreeMap;
 
 /// A session that is drawn.
 pub struct Drawn<'a> {
@@ -92,7 +91,6 @@ impl Session<'_> {
             waiting: self.waiting.clone(),
             failed: self.failed.values().sum(),
             failure: self.failure.clone(),
-            benefits: BTreeMap::new(),
         }
     }
 }
