@@ -21,7 +21,8 @@ const SHARES: [f64; 2] = [1e-4, 0.1];
 
 /// From little to much: dark blue over green to yellow, each lighter than the one before, so that they can be told apart
 /// without colours too.
-const RAMP: [[u8; 3]; 6] = [[40, 50, 130], [50, 100, 160], [50, 150, 140], [90, 190, 90], [180, 220, 60], [255, 245, 100]];
+const RAMP: [[u8; 3]; 6] =
+    [[40, 50, 130], [50, 100, 160], [50, 150, 140], [90, 190, 90], [180, 220, 60], [255, 245, 100]];
 
 /// Hues that neighbours in a tree can be told apart by.
 const LEVELS: [[u8; 3]; 8] = [
@@ -60,9 +61,7 @@ impl FalseColour {
         match self {
             FalseColour::Off => None,
             FalseColour::Level => Some((["root".to_owned(), "8 levels below".to_owned()], LEVELS.to_vec())),
-            FalseColour::Age => {
-                Some(([format!("{} s ago", AGES[1]), format!("{} s ago", AGES[0])], RAMP.to_vec()))
-            }
+            FalseColour::Age => Some(([format!("{} s ago", AGES[1]), format!("{} s ago", AGES[0])], RAMP.to_vec())),
             FalseColour::Benefit => Some((
                 [format!("{} % of the quality", 100.0 * SHARES[0]), format!("{} %", 100.0 * SHARES[1])],
                 RAMP.to_vec(),

@@ -29,12 +29,15 @@ pub fn show(context: &Context, facts: &Facts, look: &mut Look) {
         return;
     }
     let frame = Frame::window(&context.style_of(context.theme())).fill(Color32::from_black_alpha(190));
-    Window::new("foresight").frame(frame).anchor(Align2::LEFT_TOP, vec2(8.0, 8.0)).resizable(false).show(context, |ui| {
-        ui.set_max_width(330.0);
-        figures(ui, facts);
-        ui.separator();
-        fetching(ui, facts);
-    });
+    Window::new("foresight").frame(frame).anchor(Align2::LEFT_TOP, vec2(8.0, 8.0)).resizable(false).show(
+        context,
+        |ui| {
+            ui.set_max_width(330.0);
+            figures(ui, facts);
+            ui.separator();
+            fetching(ui, facts);
+        },
+    );
     Window::new("picture").frame(frame).anchor(Align2::RIGHT_TOP, vec2(-8.0, 8.0)).resizable(false).show(
         context,
         |ui| {
@@ -63,9 +66,9 @@ fn figures(ui: &mut Ui, facts: &Facts) {
         row("quality planned", quality(status.quality));
         row("quality shown", quality(facts.shown_quality));
         row("bandwidth", {
-            let estimate = status.estimate.map(|(rate, latency)| {
-                format!(", link about {:.1} Mbit/s, {:.0} ms", rate * 8e-6, latency * 1e3)
-            });
+            let estimate = status
+                .estimate
+                .map(|(rate, latency)| format!(", link about {:.1} Mbit/s, {:.0} ms", rate * 8e-6, latency * 1e3));
             format!("{:.2} Mbit/s{}", facts.rate * 8e-6, estimate.unwrap_or_default())
         });
         row("received", megabytes(status.received));
@@ -73,7 +76,13 @@ fn figures(ui: &mut Ui, facts: &Facts) {
         let used = facts.used;
         row(
             "memory used",
-            format!("{}: GPU {:.1}, decoded {:.1}, wire {:.1}", megabytes(used.total()), used.gpu as f64 / 1e6, used.decoded as f64 / 1e6, used.wire as f64 / 1e6),
+            format!(
+                "{}: GPU {:.1}, decoded {:.1}, wire {:.1}",
+                megabytes(used.total()),
+                used.gpu as f64 / 1e6,
+                used.decoded as f64 / 1e6,
+                used.wire as f64 / 1e6
+            ),
         );
         let counts = facts.counts;
         row("drawn", format!("{} points, {} triangles", counts.points, counts.triangles));
@@ -191,7 +200,7 @@ fn notices(context: &Context, facts: &Facts) {
     if lines.is_empty() {
         return;
     }
-    egui::Area::new("notices".into()).anchor(Align2::CENTER_BOTTOM, vec2(0.0, -40.0)).show(context, |ui| {
+    egui::Area::new(egui::Id::unique("notices")).anchor(Align2::CENTER_BOTTOM, vec2(0.0, -40.0)).show(context, |ui| {
         Frame::popup(ui.style()).fill(Color32::from_black_alpha(220)).show(ui, |ui| {
             ui.set_max_width(620.0);
             for line in lines {
@@ -206,7 +215,7 @@ fn credits(context: &Context, facts: &Facts) {
         return;
     }
     let words: Vec<&str> = facts.credits.iter().map(|credit| &**credit).collect();
-    egui::Area::new("credits".into()).anchor(Align2::RIGHT_BOTTOM, vec2(-6.0, -6.0)).show(context, |ui| {
+    egui::Area::new(egui::Id::unique("credits")).anchor(Align2::RIGHT_BOTTOM, vec2(-6.0, -6.0)).show(context, |ui| {
         Frame::NONE.fill(Color32::from_black_alpha(140)).inner_margin(3.0).show(ui, |ui| {
             ui.set_max_width(700.0);
             ui.label(RichText::new(words.join(" · ")).small().color(Color32::WHITE));

@@ -13,6 +13,8 @@ use foresight_wire::message::Fetch;
 pub struct Drawn<'a> {
     /// What it has in common with others.
     pub plan: &'a Plan,
+    /// Representations of the world that is drawn: a server's world with another number is another world.
+    pub representations: usize,
     /// Where the camera is and contents go.
     pub exchange: &'a Exchange,
     /// The program's clock.
@@ -29,8 +31,9 @@ const TICKS_PER_STATUS: u64 = 6;
 /// # Errors
 /// When the server cannot be reached in the beginning, or refuses the session for good.
 pub async fn fly_drawn(drawn: Drawn<'_>) -> Result<Summary, FlightError> {
-    let Drawn { plan, exchange, clock, http } = drawn;
-    let mut session = Session::new(plan, Eye::Hand(exchange), Some(exchange), clock, http);
+    let Drawn { plan, representations, exchange, clock, http } = drawn;
+    let new = Session::new(plan, Eye::Hand(exchange), Some(exchange), clock, http);
+    let mut session = Session { representations: Some(representations), ..new };
     session.begin().await?;
     let mut tick = 0;
     while !exchange.is_left() {

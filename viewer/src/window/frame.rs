@@ -336,9 +336,7 @@ impl<'a> Flyer<'a> {
                     let age_ns = self.stage.age_ns(item.rep, now_ns).unwrap_or(0);
                     Some(colours::of_age(age_ns as f64 * 1e-9))
                 }
-                FalseColour::Benefit => {
-                    Some(colours::of_benefit(self.worth.get(&item.rep).copied().unwrap_or(0.0)))
-                }
+                FalseColour::Benefit => Some(colours::of_benefit(self.worth.get(&item.rep).copied().unwrap_or(0.0))),
             };
         }
         chosen

@@ -1,7 +1,7 @@
 //! A window on a world while it streams: input, camera, scheduler, contents, picture, overlay.
 //!
 //! One thread draws ([`app`]). Another decides and fetches: the scheduler in this program ([`local`]), or a session of a server
-//! ([`remote`]). They meet in an [`Exchange`]. Contents are read and decoded on threads of their own
+//! ([`fly_drawn`]). They meet in an [`Exchange`]. Contents are read and decoded on threads of their own
 //! ([`crate::scene::loader`]).
 
 mod app;
@@ -9,7 +9,6 @@ mod frame;
 mod judge;
 mod local;
 mod player;
-mod remote;
 mod screen;
 mod stage;
 
@@ -19,7 +18,7 @@ use crate::exchange::{Exchange, Link, Status};
 use crate::fetch::Http;
 use crate::gpu::GpuError;
 use crate::scene::source::Source;
-use crate::session::Plan;
+use crate::session::{Drawn, Plan, fly_drawn};
 use foresight_index::world::World;
 use foresight_replay::simulation::ReplayError;
 use foresight_scheduler::policy::specification::PolicySpec;
@@ -45,6 +44,8 @@ pub enum Decider {
     Remote {
         /// With whom.
         plan: Box<Plan>,
+        /// How many its world must have, to be this one.
+        representations: usize,
         /// HTTP.
         http: Http,
         /// What waits for sockets.
@@ -169,7 +170,17 @@ pub fn run(settings: WindowSettings) -> Result<Outcome, WindowError> {
                     let local = local::Local { world: &settings.world, policy, link, scheduler: *scheduler };
                     local::drive(&local, &exchange, settings.clock).map_err(WindowError::from)
                 }
-                Decider::Remote { plan, http, runtime } => remote::drive(plan, http, runtime, &exchange, settings.clock),
+                Decider::Remote { plan, representations, http, runtime } => {
+                    let drawn = Drawn {
+                        plan,
+                        representations: *representations,
+                        exchange: &exchange,
+                        clock: settings.clock,
+                        http: http.clone(),
+                    };
+                    let flown = runtime.block_on(fly_drawn(drawn));
+                    flown.map(|_| ()).map_err(|error| WindowError::Session(error.to_string()))
+                }
             };
             // The world stays on screen, and the overlay says why no more of it comes.
             if let Err(error) = &result {

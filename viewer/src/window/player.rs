@@ -69,12 +69,8 @@ mod tests {
 
     #[test]
     fn a_path_is_played_once_and_again_when_asked() {
-        let view = |x| View {
-            position: DVec3::new(x, 0.0, 0.0),
-            orientation: DQuat::IDENTITY,
-            fov_y: 1.0,
-            viewport: [4, 3],
-        };
+        let view =
+            |x| View { position: DVec3::new(x, 0.0, 0.0), orientation: DQuat::IDENTITY, fov_y: 1.0, viewport: [4, 3] };
         let mut player = Player::new((0..121).map(|i| view(f64::from(i))).collect());
         let played = |player: &mut Player| -> Vec<f64> {
             std::iter::from_fn(|| player.step(0.5)).map(|(view, _)| view.position.x).collect()

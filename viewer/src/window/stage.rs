@@ -106,7 +106,8 @@ impl<'a> Stage<'a> {
         }
         if now_ns.saturating_sub(self.ranked_ns) > RANKING_NS {
             self.ranked_ns = now_ns;
-            let waiting: Vec<RepId> = self.items.iter().filter(|(_, i)| i.shown_ns.is_none()).map(|(&r, _)| r).collect();
+            let waiting: Vec<RepId> =
+                self.items.iter().filter(|(_, i)| i.shown_ns.is_none()).map(|(&r, _)| r).collect();
             for rep in waiting {
                 self.resident.rank(rep, self.rank(rep, view));
             }
