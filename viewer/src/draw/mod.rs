@@ -1,3 +1,7 @@
-//! What to draw of what is there: from the LOD tree, the resident representations and the view to a list.
+//! What to draw of what is there: from the LOD tree, the resident representations and the view to a list; and how fine, so
+//! that frames take the time that they may.
 
+pub mod choose;
+pub mod controller;
 pub mod list;
+pub mod tiles;
