@@ -46,7 +46,8 @@ fn a_plate_covers_its_pixels_without_holes_from_many_sides() {
                     // both measured in the plate, where the tilt makes pixels longer.
                     let margin = 1.5 * pixel / libm::cos(tilt.to_radians());
                     if let Some(distance) = plate.hit(view.position, along, margin) {
-                        let context = format!("{} tilted {tilt}°, seen at {angle}°, pixel {column}, {row}", direction.name());
+                        let context =
+                            format!("{} tilted {tilt}°, seen at {angle}°, pixel {column}, {row}", direction.name());
                         assert!(found.is_finite(), "a hole: {context}");
                         assert!((f64::from(found) - distance).abs() < 0.1, "{found} m for {distance}: {context}");
                         assert_eq!(picture.rgba[4 * index..4 * index + 4], [200, 100, 50, 255]);
