@@ -1,9 +1,10 @@
 //! Replays camera paths over worlds and links, and compares prefetch policies.
 
+pub use foresight_replay::future;
+
 pub mod accuracy;
 pub mod bound;
 pub mod compare;
-pub mod future;
 pub mod limits;
 pub mod outcome;
 pub mod pressure;

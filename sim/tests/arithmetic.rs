@@ -1,5 +1,6 @@
 //! The simulator against what can be worked out by hand.
 
+use foresight_replay::simulation::Simulation;
 use foresight_scheduler::benefit::cut::CutSettings;
 use foresight_scheduler::lod_tree::{Aabb, LodTree, LodTreeBuilder, RepId, Representation};
 use foresight_scheduler::policy::Policy;
@@ -14,6 +15,7 @@ use foresight_traces::client::ClientSettings;
 use foresight_traces::flight::{Flight, TICKS_PER_FRAME, tick_time};
 use foresight_traces::link::{LinkTrace, RatePiece};
 use glam::{DQuat, DVec3};
+use std::collections::BTreeSet;
 
 const MILLISECOND: Time = Time(1_000_000);
 
@@ -176,4 +178,48 @@ fn bytes_are_charged_where_they_belong() {
     let ended = run(&tree, &flight, &fast, ClientSettings::default(), Box::new(Everything));
     assert_eq!((ended.bytes_fetched, ended.bytes_unfinished, ended.bytes_wasted), (100_000, 0, 100_000));
     assert!(ended.frames.iter().all(|q| q.mean().is_none()));
+}
+
+/// Driven one view at a time, a client does what the replay says, and its ticks tell what comes and what goes.
+#[test]
+fn one_view_at_a_time_is_the_whole_replay() {
+    let tree = row(12, 40_000, 300_000, 0.5);
+    let look = |t: f64| View {
+        position: DVec3::new(4.0 * t, 0.0, 0.0),
+        orientation: DQuat::IDENTITY,
+        fov_y: 0.6,
+        viewport: [800, 600],
+    };
+    let flight = Flight::sample(8.0, look);
+    let link = LinkTrace::constant("8 Mbit/s", 8_000_000, Time(20_000_000)).unwrap();
+    let cuts = flight.cuts(&tree, &CutSettings::default());
+    let stage = Stage {
+        tree: &tree,
+        flight: &flight,
+        cuts: &cuts,
+        link: &link,
+        link_start: Time::ZERO,
+        client: ClientSettings::default(),
+        scheduler: SchedulerSettings::with_budget(1_500_000),
+        preloaded: &[],
+    };
+    let whole = replay(stage, named("foresight", &tree, &flight, &link)).unwrap();
+    let mut simulation = Simulation::new(stage.conditions(), named("foresight", &tree, &flight, &link)).unwrap();
+    let (mut frames, mut requests, mut here) = (Vec::new(), Vec::new(), BTreeSet::new());
+    for (tick, view) in flight.views.iter().enumerate() {
+        let done = simulation.tick(view, tick_time(tick as u64)).unwrap();
+        here.extend(done.completed.iter().copied());
+        requests.extend(done.requested.iter().copied());
+        for gone in done.discarded.clone() {
+            assert!(here.remove(&gone), "{gone:?} was discarded and never shown");
+        }
+        assert!(simulation.resident().iter().eq(here.iter().copied()), "tick {tick}");
+        if (tick as u64).is_multiple_of(TICKS_PER_FRAME) {
+            frames.push(simulation.judge(&cuts[tick / TICKS_PER_FRAME as usize]));
+        }
+    }
+    assert!(!whole.completions.is_empty() && whole.evictions > 0, "{whole:?}");
+    assert_eq!(frames, whole.frames);
+    assert!(requests.into_iter().eq(whole.requests.iter().map(|r| r.rep)));
+    assert_eq!((simulation.counts().evictions, simulation.delivered_bytes()), (whole.evictions, whole.bytes_fetched));
 }

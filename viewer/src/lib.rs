@@ -7,10 +7,13 @@
 pub mod camera;
 pub mod clock;
 pub mod connection;
+#[cfg(feature = "window")]
+pub mod controls;
 pub mod crowd;
 #[cfg(feature = "draw")]
 pub mod draw;
 pub mod events;
+pub mod exchange;
 pub mod fetch;
 #[cfg(feature = "draw")]
 pub mod gpu;

@@ -325,11 +325,46 @@ pub fn uploaded_bytes(file: &[u8]) -> u64 {
     four(28).saturating_mul(four(32)).saturating_mul(pixel)
 }
 
+/// A file's content in whole numbers, as [`planes`] made them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DecodedPlanes {
+    /// From where it is seen.
+    pub direction: Direction,
+    /// Level of the pixels, and of the cell.
+    pub level: u32,
+    /// Least depth of the cell, metres.
+    pub near: f64,
+    /// Depth of the cell, metres: [`Planes::depths`] are steps of 1/1023 of it.
+    pub range: f64,
+    /// The planes; `normals` is empty where the file has none.
+    pub planes: Planes,
+}
+
 /// Reads a file. Pixels outside of what was occupied are not there: the image's `rect` is the smaller one.
 ///
 /// # Errors
 /// What is no such file, is cut off, or contradicts itself.
 pub fn decode(bytes: &[u8]) -> Result<Decoded, OrthoviewError> {
+    let DecodedPlanes { direction, level, near, range, planes } = decode_planes(bytes)?;
+    let pixel = |index: usize| {
+        if !planes.is_shown(index) {
+            return Pixel::EMPTY;
+        }
+        #[expect(clippy::cast_possible_truncation, reason = "relative to the cell's near end")]
+        let depth = (f64::from(planes.depths[index]) / DEPTH_STEPS * range) as f32;
+        let normal = planes.normals.get(2 * index..2 * index + 2).map_or([0.0; 3], |n| from_octahedral([n[0], n[1]]));
+        Pixel { depth, colour: std::array::from_fn(|c| linear(planes.colours[3 * index + c])), normal }
+    };
+    let pixels = (0..planes.links.len()).map(pixel).collect();
+    let view = Orthoview { level, rect: planes.rect, near, range, pixels };
+    Ok(Decoded { direction, view, links: planes.links.into_iter().map(Links::from_bits).collect() })
+}
+
+/// Reads a file as [`decode`] does, into planes of whole numbers: what a GPU takes.
+///
+/// # Errors
+/// As [`decode`].
+pub fn decode_planes(bytes: &[u8]) -> Result<DecodedPlanes, OrthoviewError> {
     let fault = |at: usize, found: String, expected| OrthoviewError::Header { at, found, expected };
     let Some(header) = bytes.get(..HEADER) else {
         return Err(fault(bytes.len(), "the end".to_owned(), "a header of 68 bytes"));
@@ -379,23 +414,15 @@ pub fn decode(bytes: &[u8]) -> Result<Decoded, OrthoviewError> {
         0 => None,
         _ => Some(samples(normals, ImageFormat::WebP, size, ColorType::Rgb8, "normals")?),
     };
+    let normals =
+        normals.map_or_else(Vec::new, |n| n.as_chunks::<3>().0.iter().flat_map(|&[x, y, _]| [x, y]).collect());
     let shape = shape.as_chunks::<3>().0;
     let codes: Vec<u16> = shape.iter().map(|&[low, high, _]| u16::from_le_bytes([low, high])).collect();
     let depths = restored(&codes, width);
-    let links: Vec<Links> = shape.iter().map(|&[_, _, bits]| Links::from_bits(bits)).collect();
-    let pixel = |index: usize| {
-        if !links[index].is_present() {
-            return Pixel::EMPTY;
-        }
-        #[expect(clippy::cast_possible_truncation, reason = "relative to the cell's near end")]
-        let depth = (f64::from(depths[index]) / DEPTH_STEPS * range) as f32;
-        let normal = normals.as_ref().map_or([0.0; 3], |n| from_octahedral([n[3 * index], n[3 * index + 1]]));
-        Pixel { depth, colour: std::array::from_fn(|c| linear(colours[3 * index + c])), normal }
-    };
-    let pixels = (0..width * height).map(pixel).collect();
+    let links = shape.iter().map(|&[_, _, bits]| Links::from_bits(bits).bits()).collect();
     let rect = Rect { min, max: min + I64Vec2::new(width as i64, height as i64) };
-    let view = Orthoview { level: u32::from(header[7]), rect, near, range, pixels };
-    Ok(Decoded { direction, view, links })
+    let planes = Planes { rect, colours, depths, links, normals };
+    Ok(DecodedPlanes { direction, level: u32::from(header[7]), near, range, planes })
 }
 
 /// The samples of an image of the size and kind expected.

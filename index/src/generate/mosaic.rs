@@ -84,7 +84,7 @@ fn compose(source: &Path, grid: u32) -> Result<Composed, MosaicError> {
     }
     let root_file = if source.is_dir() { source.join("tileset.json") } else { source.to_owned() };
     let opened =
-        tiles3d::load(&root_file, tiles3d::MAX_TILES).map_err(|error: Tiles3dError| WorldError::from(error))?;
+        tiles3d::load(&root_file, tiles3d::MAX_TILES, false).map_err(|error: Tiles3dError| WorldError::from(error))?;
     if opened.world.kind != WorldKind::Tiles3d {
         return Err(MosaicError::Kind { file: root_file, found: format!("a {}", opened.world.kind) });
     }
@@ -146,15 +146,27 @@ fn compose(source: &Path, grid: u32) -> Result<Composed, MosaicError> {
 
 /// The world that [`mosaic`] would write, without a file written.
 pub fn in_memory(source: &Path, grid: u32) -> Result<World, MosaicError> {
+    Ok(loaded(source, grid, false)?.world)
+}
+
+/// The world of [`in_memory`] with its contents.
+///
+/// # Errors
+/// As [`in_memory`].
+#[cfg(feature = "orthoviews")]
+pub fn with_contents(source: &Path, grid: u32) -> Result<(World, tiles3d::TileContents), MosaicError> {
+    Ok(tiles3d::TileContents::of(loaded(source, grid, true)?))
+}
+
+fn loaded(source: &Path, grid: u32, placed: bool) -> Result<tiles3d::Loaded, MosaicError> {
     let Composed { tileset, manifest, folder, .. } = compose(source, grid)?;
     let io = |error: serde_json::Error| MosaicError::Io { file: source.to_owned(), source: error.into() };
     let tileset = serde_json::to_vec(&tileset).map_err(io)?;
     let source = Source::Mosaic { tileset, source: folder };
-    let mut world = tiles3d::load_from(source, Some(manifest), "tileset.json", tiles3d::MAX_TILES)
-        .map_err(|error: Tiles3dError| WorldError::from(error))?
-        .world;
-    world.name = format!("mosaic of {grid} × {grid}");
-    Ok(world)
+    let mut loaded = tiles3d::load_from(source, Some(manifest), "tileset.json", tiles3d::MAX_TILES, placed)
+        .map_err(|error: Tiles3dError| WorldError::from(error))?;
+    loaded.world.name = format!("mosaic of {grid} × {grid}");
+    Ok(loaded)
 }
 
 /// Writes the folder `out`, which must not exist or be an empty folder: `source` (a `tileset.json`, or a folder with

@@ -15,7 +15,7 @@ pub mod spool;
 #[cfg(test)]
 mod tests;
 
-pub use gltf::GltfFile;
+pub use gltf::{GltfFile, read_glb};
 #[cfg(feature = "cityjson")]
 pub(crate) use inputs::file_identity;
 #[cfg(any(feature = "textures", feature = "terrain", feature = "asteroids"))]
@@ -92,14 +92,34 @@ pub struct Piece {
     pub materials: Vec<Material>,
     /// PNG, JPEG or WebP by number; absent where there is none to be had.
     pub images: Vec<Option<Arc<[u8]>>>,
+    /// Unit normals at the corners, one a triangle, zero where the file has none; empty unless they were asked for.
+    pub normals: Vec<[[f32; 3]; 3]>,
+    /// Whose the content is, as it says itself.
+    pub credit: Option<String>,
     /// What was left out, in words.
     pub left_out: Vec<String>,
 }
 
 impl Piece {
+    /// Adds another piece. Credits that differ are told one after the other.
+    pub(crate) fn append(&mut self, mut other: Piece) {
+        let (materials, images) = (self.materials.len() as u32, self.images.len());
+        other.triangles.iter_mut().for_each(|triangle| triangle.material += materials);
+        other.materials.iter_mut().for_each(|material| material.texture = material.texture.map(|t| t + images));
+        self.triangles.append(&mut other.triangles);
+        self.materials.append(&mut other.materials);
+        self.images.append(&mut other.images);
+        self.normals.append(&mut other.normals);
+        self.left_out.append(&mut other.left_out);
+        self.credit = match (self.credit.take(), other.credit) {
+            (Some(own), Some(other)) if own != other => Some(format!("{own}; {other}")),
+            (own, other) => own.or(other),
+        };
+    }
+
     /// Decodes the images; one that cannot be is left out, and what it was on has its base colour.
     pub fn decoded(self) -> Surfaces {
-        let Piece { triangles, materials, images, mut left_out } = self;
+        let Piece { triangles, materials, images, mut left_out, .. } = self;
         let textures = images.iter().map(|image| match Texture::decode(image.as_deref()?) {
             Ok(texture) => Some(Arc::new(texture)),
             Err(error) => {

@@ -16,6 +16,21 @@ pub enum Content {
     Empty,
 }
 
+impl Content {
+    /// Bytes that it takes in memory, and nearly those on the GPU. A texture that several meshes show counts for each.
+    pub fn bytes(&self) -> u64 {
+        let bytes = match self {
+            Content::Splats(image) => image.colours.len() + 2 * image.shapes.len() + image.normals.len(),
+            Content::Mesh(mesh) => {
+                let textures: usize = mesh.textures.iter().map(|texture| texture.texels.len()).sum();
+                size_of_val(mesh.vertices.as_slice()) + size_of_val(mesh.indices.as_slice()) + textures
+            }
+            Content::Empty => 0,
+        };
+        bytes as u64
+    }
+}
+
 /// An orthoview. Pixel (column, row), rows growing upwards, with its depth's code d is at
 /// `origin + pixel·(column·right + row·up) − d/1023·range·towards_eye`.
 #[derive(Clone, Debug, PartialEq)]
@@ -69,7 +84,7 @@ pub struct Mesh {
 pub struct Vertex {
     /// Metres from the mesh's origin.
     pub position: [f32; 3],
-    /// Unit, world space.
+    /// Unit, world space; zero where the file has none: then the face's own counts.
     pub normal: [f32; 3],
     /// Texture coordinates; (0, 0) is the first texel's corner.
     pub uv: [f32; 2],
@@ -97,6 +112,6 @@ pub struct Part {
 pub struct TextureImage {
     /// Columns and rows.
     pub size: [u32; 2],
-    /// sRGB and opacity, four bytes a texel, first row first.
+    /// sRGB and opacity, four bytes a texel, first row first; behind the finest level its mips ([`TextureImage::levels`]).
     pub texels: Vec<u8>,
 }

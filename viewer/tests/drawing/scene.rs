@@ -100,7 +100,7 @@ pub(crate) fn orthoview(plate: &Plate, direction: Direction, middle: DVec3, cell
     };
     for row in 0..side {
         for column in 0..side {
-            let bits = depth(column, row).map_or(0, |depth| {
+            let bits = depth(column, row).map_or(0, |own| {
                 // A plane's samples are of one surface; within the image all have eight neighbours but at the border.
                 let mut links = 0;
                 for (dx, dy) in [(1, 0), (0, 1), (-1, 1), (1, 1), (-1, 0), (0, -1), (1, -1), (-1, -1)] {
@@ -108,7 +108,7 @@ pub(crate) fn orthoview(plate: &Plate, direction: Direction, middle: DVec3, cell
                     let there = x.zip(y).filter(|&(x, y)| x < side && y < side).and_then(|(x, y)| depth(x, y));
                     links += u32::from(there.is_some());
                 }
-                depth | 0x8000 | if links > 4 { 0x4000 } else { 0 }
+                own | 0x8000 | if links > 4 { 0x4000 } else { 0 }
             });
             image.shapes.push(bits);
             image.colours.extend([200, 100, 50, 255]);

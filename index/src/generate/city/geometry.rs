@@ -40,11 +40,11 @@ pub fn write(params: &CityParams, out: &Path, progress: &mut dyn FnMut(u64, u64)
     let tree = &world.tree;
     let tiles = tree.representations() as u64;
     tileset::check_tiles(tiles, MAX_WRITTEN_TILES)?;
-    let city = Tiles { seed: params.seed, world: &world, standing: &standing, first_leaf: first_leaves(tree) };
+    let city = CityContents { seed: params.seed, standing, first_leaf: first_leaves(tree) };
     let parts: Vec<RepId> = (0..tree.representations() as u32).map(RepId).collect();
-    let root = city.tile(tree.root());
+    let root = city.tile(&world, tree.root());
     let error = tree.own(tree.root()).map(|rep| tree.error(rep)).fold(0.0, f64::max);
-    let content = |&rep: &RepId| (world.uris.get(rep).into_owned(), city.content(rep));
+    let content = |&rep: &RepId| (world.uris.get(rep).into_owned(), city.content(tree, rep));
     tileset::write(out, &parts, content, (2.0 * error, root), tiles, progress)
 }
 
@@ -60,20 +60,32 @@ fn first_leaves(tree: &LodTree) -> Vec<u32> {
     first
 }
 
-struct Tiles<'a> {
+/// The contents of a city, made when they are asked for.
+#[derive(Debug)]
+pub struct CityContents {
     seed: u64,
-    world: &'a World,
-    standing: &'a [Standing],
+    standing: Vec<Standing>,
     first_leaf: Vec<u32>,
 }
 
-impl Tiles<'_> {
+impl CityContents {
+    /// The city of these parameters with its contents; `None` in place of these if it has orthoviews, which are sizes only.
+    ///
+    /// # Errors
+    /// Parameters out of range.
+    pub fn open(params: &CityParams) -> Result<(World, Option<CityContents>), GenerateError> {
+        let (world, standing) = laid_out(params)?;
+        let first_leaf = first_leaves(&world.tree);
+        let contents = CityContents { seed: params.seed, standing, first_leaf };
+        Ok((world, (params.orthoviews == 0).then_some(contents)))
+    }
+
     /// The JSON of a node: its levels inside each other, coarse to fine, then its children. Recursion goes down the tree:
     /// at most 20 deep.
-    fn tile(&self, node: NodeId) -> Value {
-        let tree = &self.world.tree;
+    fn tile(&self, world: &World, node: NodeId) -> Value {
+        let tree = &world.tree;
         let bounds = volume(tree.bounds(node));
-        let children: Vec<Value> = tree.children(node).map(|child| self.tile(child)).collect();
+        let children: Vec<Value> = tree.children(node).map(|child| self.tile(world, child)).collect();
         let mut levels: Vec<RepId> = tree.own(node).collect();
         levels.sort_by(|a, b| tree.error(*a).total_cmp(&tree.error(*b)).then(a.cmp(b)));
         let mut beneath = children;
@@ -82,7 +94,7 @@ impl Tiles<'_> {
                 "boundingVolume": bounds,
                 "geometricError": tree.error(rep),
                 "refine": "REPLACE",
-                "content": { "uri": self.world.uris.get(rep) },
+                "content": { "uri": world.uris.get(rep) },
             });
             if !beneath.is_empty() {
                 tile["children"] = Value::Array(std::mem::take(&mut beneath));
@@ -93,20 +105,20 @@ impl Tiles<'_> {
     }
 
     /// What stands beneath a node.
-    fn standing(&self, node: NodeId) -> &[Standing] {
-        let end = self.world.tree.subtree_end(node).index();
+    fn standing(&self, tree: &LodTree, node: NodeId) -> &[Standing] {
+        let end = tree.subtree_end(node).index();
         &self.standing[self.first_leaf[node.index()] as usize..self.first_leaf[end] as usize]
     }
 
-    fn content(&self, rep: RepId) -> Vec<u8> {
-        let tree = &self.world.tree;
+    /// A representation of the city that has this tree, as GLB.
+    pub fn content(&self, tree: &LodTree, rep: RepId) -> Vec<u8> {
         let node = tree.node_of(rep);
         let centre = tree.centre(node).truncate();
         let origin = centre.extend(0.0);
         let finer = tree.own(node).filter(|r| tree.error(*r) < tree.error(rep)).count();
         let seed = self.seed ^ (u64::from(self.first_leaf[node.index()]) << 20);
         if !tree.is_leaf(node) {
-            let parts = merged(self.standing(node), centre, tree.error(rep));
+            let parts = merged(self.standing(tree, node), centre, tree.error(rep));
             return encode(origin, &parts, &[]);
         }
         match (&self.standing[self.first_leaf[node.index()] as usize], finer) {

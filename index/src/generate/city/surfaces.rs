@@ -138,7 +138,7 @@ impl SurfaceSource for CitySurfaces {
         }
         let textured = (0..TEXTURES).map(|texture| Material { texture: Some(texture), ..Material::default() });
         let plain = [ROOF, BARK].map(|base| Material { base, ..Material::default() });
-        Ok(Piece { triangles, materials: textured.chain(plain).collect(), images, left_out: Vec::new() })
+        Ok(Piece { triangles, materials: textured.chain(plain).collect(), images, ..Piece::default() })
     }
 
     fn up(&self) -> DVec3 {

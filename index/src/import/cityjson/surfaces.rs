@@ -112,7 +112,7 @@ impl SurfaceSource for CityModelSurfaces {
         });
         let materials = COLOURS.map(|base| Material { base, ..Material::default() }).to_vec();
         let left_out = if piece == 0 { self.left_out.clone() } else { Vec::new() };
-        Ok(Piece { triangles: triangles.collect(), materials, images: Vec::new(), left_out })
+        Ok(Piece { triangles: triangles.collect(), materials, left_out, ..Piece::default() })
     }
 
     fn up(&self) -> DVec3 {

@@ -5,11 +5,11 @@ use foresight_scheduler::lod_tree::{Aabb, LodTree, LodTreeBuilder, LodTreeError,
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::Tiles3dError;
 use super::content::{self, ContentKind, Placed};
 use super::limits::MAX_NOTED_FILES;
 use super::resolve::{Folder, folder_of};
 use super::walk::{NONE, Placement, Variant, Walked};
+use super::{Places, Tiles3dError};
 use crate::geodesy::{WGS84_A, WGS84_B};
 use crate::ground::{Ground, LeafHeights};
 use crate::uris::UriTable;
@@ -46,9 +46,19 @@ enum Finding {
     TooFar,
 }
 
-/// Builds the world, and lists the files that it was read from.
-pub(crate) fn assemble(folder: &Folder, name: &str, walked: Walked) -> Result<(World, Vec<String>), Tiles3dError> {
-    let Walked { nodes, variants, linears, files, mut other_files, uris, mut notes, has_region, .. } = walked;
+/// A world and what it was made of.
+pub(crate) struct Assembled {
+    pub(crate) world: World,
+    /// Files that it was read from.
+    pub(crate) files: Vec<String>,
+    /// If they were asked for.
+    pub(crate) places: Option<Places>,
+}
+
+/// Builds the world, `placed` with where its contents stand.
+pub(crate) fn assemble(folder: &Folder, name: &str, walked: Walked, placed: bool) -> Result<Assembled, Tiles3dError> {
+    let Walked { nodes, variants, linears, files, mut other_files, uris, mut notes, has_region, credit, .. } = walked;
+    let is_placed = placed;
     let mut of_file: Vec<Vec<u32>> = vec![Vec::new(); files.len()];
     for (id, variant) in variants.iter().enumerate() {
         of_file[variant.file as usize].push(id as u32);
@@ -81,13 +91,17 @@ pub(crate) fn assemble(folder: &Folder, name: &str, walked: Walked) -> Result<(W
     let facing = scene.facing(&leaves);
     let (up, is_earth) = orientation(middle, has_region, facing, name, &mut notes);
     notes.extend(scene.loose_boxes(&leaves, up, name));
-    let (tree, uris) =
+    let (tree, uris, nodes_of) =
         scene.build(&shows, uris, name, &mut notes).map_err(|source| Tiles3dError::Tree { file: root_file, source })?;
     let heights = leaves.iter().map(|&leaf| scene.height(leaf, up));
     let ground = Ground::Leaves(LeafHeights::new(middle.dot(up), heights));
     let georeference = is_earth.then_some(Georeference::Ecef);
     let world = World { name: String::new(), kind: WorldKind::Tiles3d, tree, uris, up, ground, georeference, notes };
-    Ok((world, other_files))
+    let places = is_placed.then(|| {
+        let place = |&node: &u32| (nodes[node as usize].variant, nodes[node as usize].translation);
+        Places { representations: nodes_of.iter().map(place).collect(), variants, linears, files, credit }
+    });
+    Ok(Assembled { world, files: other_files, places })
 }
 
 fn read_content(folder: &Folder, file: &str, wanted: &[(&Variant, &glam::DMat3)]) -> Read {
@@ -351,15 +365,16 @@ impl Scene<'_> {
         vector / area
     }
 
-    /// The tree, with the address of every representation.
+    /// The tree, with the address and the node of every representation.
     fn build(
         &self,
         shows: &[bool],
         mut uris: crate::uris::UriTableBuilder,
         name: &str,
         notes: &mut Vec<Note>,
-    ) -> Result<(LodTree, UriTable), LodTreeError> {
+    ) -> Result<(LodTree, UriTable, Vec<u32>), LodTreeError> {
         let mut builder = LodTreeBuilder::default();
+        let mut nodes = Vec::new();
         // Open nodes: which, and the error of the nearest representation at or above each.
         let mut open: Vec<(u32, f32)> = Vec::new();
         let (mut clamped, mut worst) = (0_u64, 0.0_f32);
@@ -388,6 +403,7 @@ impl Scene<'_> {
                     direction: None,
                 })?;
                 uris.push(node.uri.0, node.uri.1);
+                nodes.push(id);
             }
             open.push((id, nearest));
         }
@@ -400,7 +416,7 @@ impl Scene<'_> {
             );
             notes.push(Note { severity: Severity::Repair, file: name.to_owned(), place: String::new(), text });
         }
-        Ok((builder.finish()?, uris.finish()))
+        Ok((builder.finish()?, uris.finish(), nodes))
     }
 
     fn close(&self, builder: &mut LodTreeBuilder, node: u32) -> Result<(), LodTreeError> {

@@ -109,14 +109,14 @@ pub(crate) fn parse(bytes: &[u8], fetch: &dyn Fn(&str) -> Option<Vec<u8>>) -> Re
     Ok(Content { kind, geometry, relative_to })
 }
 
-fn u32_at(bytes: &[u8], at: usize) -> Result<usize, ContentError> {
+pub(super) fn u32_at(bytes: &[u8], at: usize) -> Result<usize, ContentError> {
     let found = bytes.get(at..at + 4).and_then(|word| <[u8; 4]>::try_from(word).ok());
     let word = found.ok_or_else(|| ContentError::new(format!("byte {at}"), "the end; expected 4 more bytes"))?;
     Ok(u32::from_le_bytes(word) as usize)
 }
 
-/// Checks the version and the length that all tile formats begin with.
-fn header(bytes: &[u8]) -> Result<(), ContentError> {
+/// Checks the version and the length that all tile formats begin with, and returns the length.
+pub(super) fn header(bytes: &[u8]) -> Result<usize, ContentError> {
     let version = u32_at(bytes, 4)?;
     if version != 1 {
         return Err(ContentError::new("byte 4", format!("version {version}; expected 1")));
@@ -126,7 +126,26 @@ fn header(bytes: &[u8]) -> Result<(), ContentError> {
         let found = format!("length {length}; expected that of the file, {} bytes", bytes.len());
         return Err(ContentError::new("byte 8", found));
     }
-    Ok(())
+    Ok(length)
+}
+
+/// The contents of a composite.
+#[cfg(feature = "orthoviews")]
+pub(super) fn composite(bytes: &[u8]) -> Result<Vec<&[u8]>, ContentError> {
+    let length = header(bytes)?;
+    let count = u32_at(bytes, 12)?;
+    let (mut at, mut parts) = (16, Vec::new());
+    for _ in 0..count {
+        let own = bytes.get(at..length).ok_or(()).and_then(|rest| u32_at(rest, 8).map_err(|_| ()));
+        let part = own.ok().filter(|own| *own >= 16).and_then(|own| bytes[..length].get(at..at.checked_add(own)?));
+        let Some(part) = part else {
+            let found = format!("no tile {} of {count}; expected one within {length} bytes", parts.len());
+            return Err(ContentError::new(format!("byte {at}"), found));
+        };
+        parts.push(part);
+        at += part.len();
+    }
+    Ok(parts)
 }
 
 #[derive(Deserialize)]
@@ -198,7 +217,7 @@ fn glb_chunks(bytes: &[u8], offset: usize) -> Result<(&[u8], Option<&[u8]>), Con
 /// The glTF inside a content: its JSON, its binary chunk, and the centre that it is relative to. `None` for the kinds that
 /// are not read.
 #[expect(clippy::type_complexity, reason = "three parts of one file")]
-pub(super) fn gltf(bytes: &[u8]) -> Result<Option<(&[u8], Option<&[u8]>, DVec3)>, ContentError> {
+pub(crate) fn gltf(bytes: &[u8]) -> Result<Option<(&[u8], Option<&[u8]>, DVec3)>, ContentError> {
     Ok(match kind(bytes) {
         Some(ContentKind::Gltf) => Some((bytes, None, DVec3::ZERO)),
         Some(ContentKind::Glb) => glb_chunks(bytes, 0).map(|(json, binary)| Some((json, binary, DVec3::ZERO)))?,

@@ -15,6 +15,8 @@ pub(super) struct Asset {
     pub(super) version: String,
     #[serde(rename = "gltfUpAxis")]
     pub(super) gltf_up_axis: Option<String>,
+    /// Not in the standard, but in use.
+    pub(super) copyright: Option<serde_json::Value>,
 }
 
 #[derive(Deserialize)]

@@ -23,6 +23,8 @@ pub struct TilesetDocument {
     pub gltf_up: GltfUp,
     /// `asset.version`.
     pub version: String,
+    /// `asset.copyright`, if it is a text.
+    pub credit: Option<String>,
     /// Preorder; the root is 0.
     pub tiles: Vec<Tile>,
     /// Contents of all tiles, in their order.
@@ -154,6 +156,8 @@ fn read_document(bytes: &[u8], track_path: bool) -> Result<TilesetDocument, Docu
                     }
                 };
                 document.version = given.version;
+                let credit = given.copyright.as_ref().and_then(serde_json::Value::as_str);
+                document.credit = credit.filter(|text| !text.trim().is_empty()).map(str::to_owned);
                 asset = true;
             }
             "root" => {

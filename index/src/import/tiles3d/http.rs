@@ -60,7 +60,7 @@ impl std::fmt::Debug for Http {
 pub fn open(url: &str, progress: Progress) -> Result<World, Tiles3dError> {
     let fault = |source| Tiles3dError::Io { file: PathBuf::from(url), source };
     let (http, name) = Http::new(url, progress).map_err(fault)?;
-    let mut world = load_from(Source::Http(http), None, &name, MAX_TILES)?.world;
+    let mut world = load_from(Source::Http(http), None, &name, MAX_TILES, false)?.world;
     let end = url.split(['?', '#']).next().unwrap_or(url).trim_end_matches('/');
     let parts = end.rsplit('/').find(|part| !part.ends_with(".json"));
     world.name = parts.unwrap_or("tileset").to_owned();

@@ -14,7 +14,7 @@ use gltf::json::{Index, Root, Value};
 
 use super::content::ContentError;
 use super::limits::MAX_POINTS;
-pub(crate) use super::limits::MAX_TRIANGLES;
+use super::limits::MAX_TRIANGLES;
 
 /// Geometry of an asset in its own axes.
 #[derive(Debug, Default)]

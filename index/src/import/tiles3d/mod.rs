@@ -4,13 +4,17 @@
 //! Bytes on the wire are those of the files. Bytes in memory and content bounds are read from the glTF inside.
 
 mod assemble;
-mod content;
+pub(crate) mod content;
+#[cfg(feature = "orthoviews")]
+mod contents;
 mod declared;
 mod document;
 #[cfg(feature = "http")]
 mod http;
 mod implicit;
-mod limits;
+#[cfg(feature = "orthoviews")]
+mod instances;
+pub(crate) mod limits;
 pub(crate) mod mesh;
 mod resolve;
 mod source;
@@ -28,6 +32,8 @@ use std::path::{Path, PathBuf};
 use foresight_scheduler::lod_tree::{LodTreeError, RepId};
 
 pub use content::{ContentError, ContentKind, ContentSummary, content_summary};
+#[cfg(feature = "orthoviews")]
+pub use contents::{DRAWN_TRIANGLES_MAX, TileContents};
 pub use document::{Content, DocumentError, GltfUp, ImplicitTiling, Refine, Tile, TilesetDocument, parse_tileset};
 #[cfg(feature = "http")]
 pub use http::open as open_url;
@@ -132,7 +138,7 @@ pub enum Tiles3dError {
 
 /// Opens the world whose root tileset is `file`. A `manifest.json` of a mosaic beside it is followed.
 pub fn open(file: &Path) -> Result<World, Tiles3dError> {
-    Ok(load(file, MAX_TILES)?.world)
+    Ok(load(file, MAX_TILES, false)?.world)
 }
 
 /// A world with the files that it was read from, relative to its folder, in order.
@@ -147,14 +153,33 @@ pub(crate) struct Loaded {
     pub(crate) version: String,
     /// File of the first representation.
     pub(crate) coarse_file: String,
+    /// Where its contents stand, if that was asked for.
+    pub(crate) places: Option<Places>,
+    /// Its folder.
+    pub(crate) folder: resolve::Folder,
 }
 
-/// Opens a tileset of `most` tiles at most.
-pub(crate) fn load(file: &Path, most: usize) -> Result<Loaded, Tiles3dError> {
+/// Where the contents of a tileset stand.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Places {
+    /// Variant and translation by representation.
+    pub(crate) representations: Vec<(u32, glam::DVec3)>,
+    /// By number.
+    pub(crate) variants: Vec<walk::Variant>,
+    /// By number.
+    pub(crate) linears: Vec<glam::DMat3>,
+    /// Content files, relative to the folder.
+    pub(crate) files: Vec<String>,
+    /// Whose the whole is, as the root document says.
+    pub(crate) credit: Option<String>,
+}
+
+/// Opens a tileset of `most` tiles at most, `placed` with where its contents stand.
+pub(crate) fn load(file: &Path, most: usize, placed: bool) -> Result<Loaded, Tiles3dError> {
     let (path, name) = parted(file)?;
     let manifest = manifest_beside(&path)?;
     let stem = if name == "tileset.json" { named_folder(&path) } else { None };
-    let mut loaded = load_from(Source::Files(path), manifest, name, most)?;
+    let mut loaded = load_from(Source::Files(path), manifest, name, most, placed)?;
     loaded.world.name = stem
         .unwrap_or_else(|| Path::new(name).file_stem().map_or_else(String::new, |s| s.to_string_lossy().into_owned()));
     Ok(loaded)
@@ -187,12 +212,13 @@ pub(crate) fn load_from(
     manifest: Option<Manifest>,
     name: &str,
     most: usize,
+    placed: bool,
 ) -> Result<Loaded, Tiles3dError> {
     let kind = if manifest.is_some() { WorldKind::Mosaic } else { WorldKind::Tiles3d };
     let folder = resolve::Folder { source, manifest };
     let walked = walk::Walk::run(&folder, name, most)?;
     let (root_error, gltf_up, version) = (walked.root_error, walked.gltf_up, walked.version.clone());
-    let (mut world, mut files) = assemble::assemble(&folder, name, walked)?;
+    let assemble::Assembled { mut world, mut files, places } = assemble::assemble(&folder, name, walked, placed)?;
     world.kind = kind;
     if let Some(manifest) = folder.manifest.as_ref().filter(|manifest| !manifest.stand_ins.is_empty()) {
         let text = format!(
@@ -217,7 +243,7 @@ pub(crate) fn load_from(
         resolve::Target::File { file, .. } => file,
         resolve::Target::Elsewhere | resolve::Target::Outside => String::new(),
     };
-    Ok(Loaded { world, files, root_error, gltf_up, version, coarse_file })
+    Ok(Loaded { world, files, root_error, gltf_up, version, coarse_file, places, folder })
 }
 
 /// The name of a folder, found even if it was given as `.`.

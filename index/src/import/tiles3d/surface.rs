@@ -6,10 +6,12 @@ use foresight_scheduler::lod_tree::Aabb;
 use glam::{DMat4, DVec3};
 
 use super::Tiles3dError;
-use super::content::{self, ContentError};
-use super::resolve::{Folder, folder_of};
+use super::content::ContentError;
+use super::contents::Reader;
+use super::limits::MAX_TRIANGLES;
+use super::resolve::Folder;
 use super::walk::{NONE, Walk, Walked};
-use crate::surface::{Piece, SurfaceSource, gltf};
+use crate::surface::{Piece, SurfaceSource};
 use crate::world::Georeference;
 
 /// The finest contents of a tileset.
@@ -36,7 +38,7 @@ impl FinestContents {
     /// # Errors
     /// As [`super::open`].
     pub fn open(file: &Path) -> Result<FinestContents, Tiles3dError> {
-        let loaded = super::load(file, super::MAX_TILES)?;
+        let loaded = super::load(file, super::MAX_TILES, false)?;
         let (up, georeference, files) = (loaded.world.up, loaded.world.georeference, loaded.files);
         let (path, name) = super::parted(file)?;
         let manifest = super::manifest_beside(&path)?;
@@ -84,18 +86,15 @@ impl SurfaceSource for FinestContents {
         let file = self.file(piece);
         let at = |fault: String| ContentError::new(file, fault);
         let bytes = self.folder.read(file).map_err(|error| at(format!("{error}; expected a content")))?;
-        let parts = content::gltf(&bytes).map_err(|error| at(error.to_string()))?;
-        let Some((json, binary, centre)) = parts else {
-            return Err(at("instances, points or a composite; expected glTF, GLB or b3dm".to_owned()));
-        };
-        let base = folder_of(file);
-        let fetch = |uri: &str| self.folder.fetch(base, uri).map(|(_, bytes)| bytes);
         let linear = self.walked.linears[variant.linear as usize];
-        let world = DMat4::from_translation(node.translation)
-            * DMat4::from_mat3(linear)
-            * DMat4::from_translation(centre)
-            * DMat4::from_mat3(variant.up.rotation());
-        gltf::read(json, binary, &fetch, &world).map_err(|error| at(error.to_string()))
+        let reader = Reader {
+            folder: &self.folder,
+            tile: DMat4::from_translation(node.translation) * DMat4::from_mat3(linear),
+            up: variant.up.rotation(),
+            with_normals: false,
+            triangles_max: MAX_TRIANGLES,
+        };
+        reader.read(file, &bytes)
     }
 
     fn up(&self) -> DVec3 {

@@ -70,6 +70,8 @@ pub(crate) struct Walked {
     pub(crate) gltf_up: GltfUp,
     /// Version of the root document.
     pub(crate) version: String,
+    /// Whose the whole is, as the root document says.
+    pub(crate) credit: Option<String>,
 }
 
 /// A document, read and expanded.
@@ -157,6 +159,7 @@ impl<'a> Walk<'a> {
         }
         (walk.out.root_error, walk.out.gltf_up) = (document.tiles[0].geometric_error, document.gltf_up);
         walk.out.version = document.version.clone();
+        walk.out.credit = document.credit.clone();
         let above = Above { node: NONE, transform: DMat4::IDENTITY, refine: Refine::Replace };
         walk.enter(root, String::new(), above, Vec::new())?;
         while let Some(mut frame) = walk.stack.pop() {

@@ -16,8 +16,9 @@ use glam::{DMat4, DQuat, DVec3};
 use gltf::json::{Node, Root};
 
 use super::Piece;
-use crate::import::tiles3d::ContentError;
-use crate::import::tiles3d::mesh::{self, MAX_TRIANGLES};
+use crate::import::tiles3d::limits::MAX_TRIANGLES;
+use crate::import::tiles3d::mesh;
+use crate::import::tiles3d::{ContentError, DRAWN_TRIANGLES_MAX, GltfUp, content};
 use accessor::{Asset, Bytes};
 use primitive::Mesh;
 
@@ -40,7 +41,18 @@ const KNOWN: [&str; 12] = [
     "KHR_xmp_json_ld",
 ];
 
-/// Reads all triangles of an asset, placed by `world`. `binary` is the GLB's binary chunk; `fetch` reads a file that the asset names.
+/// How an asset is read.
+#[derive(Clone, Copy)]
+pub(crate) struct Reading<'a> {
+    /// Where it stands in the world, once for each time that it is there.
+    pub(crate) places: &'a [DMat4],
+    /// Whether normals are kept.
+    pub(crate) with_normals: bool,
+    /// Most triangles, all places counted; at most [`MAX_TRIANGLES`].
+    pub(crate) triangles_max: usize,
+}
+
+/// Reads all triangles of an asset. `binary` is the GLB's binary chunk; `fetch` reads a file that the asset names.
 ///
 /// # Errors
 /// JSON that is no glTF 2.0, nodes in a circle, extensions without which it cannot be drawn.
@@ -48,10 +60,10 @@ pub(crate) fn read(
     json: &[u8],
     binary: Option<&[u8]>,
     fetch: &dyn Fn(&str) -> Option<Vec<u8>>,
-    world: &DMat4,
+    reading: Reading<'_>,
 ) -> Result<Piece, ContentError> {
     let root = root(json)?;
-    let mut out = Piece::default();
+    let mut out = Piece { credit: root.asset.copyright.clone().filter(|c| !c.trim().is_empty()), ..Piece::default() };
     let buffers = root.buffers.iter().enumerate().map(|(index, buffer)| match &buffer.uri {
         None if index == 0 => binary.map(|bytes| Bytes::Memory(bytes.into())),
         None => None,
@@ -61,23 +73,29 @@ pub(crate) fn read(
     let asset = Asset { root: &root, buffers: &buffers };
     out.images = material::images(&asset, fetch, &mut out.left_out);
     out.materials = material::materials(&root);
-    let Piece { triangles, left_out, .. } = &mut out;
-    let world = *world * centre(&root);
+    let Piece { triangles, normals, left_out, .. } = &mut out;
+    let centre = centre(&root);
+    let worlds: Vec<DMat4> = reading.places.iter().map(|place| *place * centre).collect();
     mesh::walk(&root, &mut |node, transform, primitives| {
-        let places = match instances(&asset, node) {
-            Ok(places) => places,
+        let instances = match instances(&asset, node) {
+            Ok(instances) => instances,
             Err(why) => return left_out.push(why),
         };
         for given in primitives {
             let read = Mesh::read(&asset, given).and_then(|mesh| {
-                let room = MAX_TRIANGLES.saturating_sub(triangles.len());
-                let count = mesh.count().saturating_mul(places.len());
+                let most = reading.triangles_max.min(MAX_TRIANGLES);
+                let room = most.saturating_sub(triangles.len());
+                let count = mesh.count().saturating_mul(instances.len()).saturating_mul(worlds.len());
                 if count > room {
-                    return Err(format!("a mesh of {count} triangles; expected at most {MAX_TRIANGLES} a content"));
+                    return Err(format!("a mesh of {count} triangles; expected at most {most} a content"));
                 }
                 triangles.reserve(count);
-                for place in &places {
-                    mesh.triangles(0..mesh.count(), &(world * *transform * *place), triangles);
+                for place in worlds.iter().flat_map(|world| instances.iter().map(move |own| *world * *transform * *own))
+                {
+                    mesh.triangles(0..mesh.count(), &place, triangles);
+                    if reading.with_normals {
+                        mesh.normals(0..mesh.count(), &place, normals);
+                    }
                 }
                 Ok(())
             });
@@ -87,6 +105,21 @@ pub(crate) fn read(
         }
     })?;
     Ok(out)
+}
+
+/// What a GLB shows that stands by itself, with normals: y up in the file, z up in the world, files beside it left out. More than
+/// [`DRAWN_TRIANGLES_MAX`] triangles are refused.
+///
+/// # Errors
+/// Bytes that are no GLB, are cut off, or ask for what is not read.
+pub fn read_glb(bytes: &[u8]) -> Result<Piece, ContentError> {
+    let Some((json, binary, _)) = content::gltf(bytes)?.filter(|_| bytes.starts_with(b"glTF")) else {
+        let start = String::from_utf8_lossy(&bytes[..bytes.len().min(4)]);
+        return Err(ContentError::new("byte 0", format!("{start:?}; expected \"glTF\"")));
+    };
+    let places = [DMat4::from_mat3(GltfUp::Y.rotation())];
+    let reading = Reading { places: &places, with_normals: true, triangles_max: DRAWN_TRIANGLES_MAX };
+    read(json, binary, &|_| None, reading)
 }
 
 /// An asset's JSON, which asks for nothing that is not read.

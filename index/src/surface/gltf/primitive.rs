@@ -3,7 +3,7 @@
 use std::ops::Range;
 use std::sync::OnceLock;
 
-use glam::{DMat4, DVec2, DVec3};
+use glam::{DMat3, DMat4, DVec2, DVec3};
 use gltf::json::mesh::{Mode, Primitive, Semantic};
 use gltf::json::validation::Checked;
 
@@ -19,6 +19,7 @@ pub(super) struct Mesh {
     positions: Elements<'static>,
     coordinates: Option<Elements<'static>>,
     colours: Option<Elements<'static>>,
+    normals: Option<Elements<'static>>,
     indices: Option<Elements<'static>>,
     transform: Coordinates,
     material: u32,
@@ -65,6 +66,7 @@ impl Mesh {
         let positions = positions.map_err(|why| format!("a mesh whose positions are in {why}"))?;
         let coordinates = attribute(Semantic::TexCoords(transform.set)).and_then(Result::ok);
         let colours = attribute(Semantic::Colors(0)).and_then(Result::ok);
+        let normals = attribute(Semantic::Normals).and_then(Result::ok);
         let indices = primitive.indices.map(|index| asset.elements(index.value(), &mut unfolded)).transpose();
         let indices = indices.map_err(|why| format!("a mesh whose indices are in {why}"))?;
         if positions.components != 3 || indices.as_ref().is_some_and(|indices| indices.components != 1) {
@@ -75,6 +77,7 @@ impl Mesh {
             positions,
             coordinates: coordinates.filter(|c| c.components >= 2),
             colours: colours.filter(|c| c.components >= 3),
+            normals: normals.filter(|n| n.components >= 3),
             indices,
             transform,
             material: material as u32,
@@ -90,7 +93,6 @@ impl Mesh {
 
     /// Adds the triangles of a range, placed by `world`. A corner that names no vertex is NaN.
     pub(super) fn triangles(&self, range: Range<usize>, world: &DMat4, out: &mut Vec<Triangle>) {
-        let corner = |at: usize| self.indices.as_ref().map_or(at, |indices| indices.component(at, 0) as usize);
         let point = |at: usize| {
             if at < self.positions.count { world.transform_point3(self.positions.vec3(at)) } else { DVec3::NAN }
         };
@@ -102,22 +104,46 @@ impl Mesh {
             Some(c) if at < c.count => [0, 1, 2].map(|channel| srgb(c.normalised(at, channel))),
             _ => [255; 3],
         };
-        // A mirrored transform turns fronts into backs.
-        let mirrored = world.determinant() < 0.0;
+        let is_mirrored = world.determinant() < 0.0;
         for t in range {
-            let mut vertices = match self.mode {
-                Mode::TriangleStrip => [t, t + 1 + t % 2, t + 2 - t % 2],
-                Mode::TriangleFan => [t + 1, t + 2, 0],
-                _ => [3 * t, 3 * t + 1, 3 * t + 2],
-            }
-            .map(corner);
-            if mirrored {
-                vertices.swap(1, 2);
-            }
+            let vertices = self.corners(t, is_mirrored);
             let corners = vertices.map(point);
             let (uv, tint) = (vertices.map(uv), vertices.map(tint));
             out.push(Triangle { corners, uv, material: self.material, tint, two_sided: self.two_sided });
         }
+    }
+
+    /// Adds the unit normals at the corners of a range of triangles, placed by `world`; zero where the file has none.
+    pub(super) fn normals(&self, range: Range<usize>, world: &DMat4, out: &mut Vec<[[f32; 3]; 3]>) {
+        let linear = DMat3::from_mat4(*world);
+        let determinant = linear.determinant();
+        // Of a flat placement nothing is left to stand upright on.
+        let turn = if determinant.abs() > 0.0 { linear.inverse().transpose() } else { DMat3::ZERO };
+        let normal = |at: usize| match &self.normals {
+            Some(normals) if at < normals.count => {
+                let normal = (turn * normals.vec3(at)).normalize_or_zero();
+                #[expect(clippy::cast_possible_truncation, reason = "a unit vector")]
+                let narrow = normal.to_array().map(|v| v as f32);
+                narrow
+            }
+            _ => [0.0; 3],
+        };
+        out.extend(range.map(|t| self.corners(t, determinant < 0.0).map(normal)));
+    }
+
+    /// The vertices of a triangle. A mirrored placement turns fronts into backs.
+    fn corners(&self, t: usize, is_mirrored: bool) -> [usize; 3] {
+        let corner = |at: usize| self.indices.as_ref().map_or(at, |indices| indices.component(at, 0) as usize);
+        let mut vertices = match self.mode {
+            Mode::TriangleStrip => [t, t + 1 + t % 2, t + 2 - t % 2],
+            Mode::TriangleFan => [t + 1, t + 2, 0],
+            _ => [3 * t, 3 * t + 1, 3 * t + 2],
+        }
+        .map(corner);
+        if is_mirrored {
+            vertices.swap(1, 2);
+        }
+        vertices
     }
 }
 

@@ -107,7 +107,7 @@ fn arbitrary() -> impl Strategy<Value = Given> {
                         triangles: triangles.collect(),
                         materials: vec![textured, other],
                         images,
-                        left_out: Vec::new(),
+                        ..Piece::default()
                     }
                 })
                 .collect(),
@@ -306,7 +306,13 @@ fn leaves_far_too_small_are_refused_by_name() {
 fn images_are_kept_once_and_what_is_none_is_said() {
     let with = |images: Vec<Option<Arc<[u8]>>>| {
         let textured = Material { texture: Some(0), base: [0.25, 0.5, 0.75], ..Material::default() };
-        Piece { triangles: floor(3, 0.0), materials: vec![textured], images, left_out: vec!["said".to_owned()] }
+        Piece {
+            triangles: floor(3, 0.0),
+            materials: vec![textured],
+            images,
+            left_out: vec!["said".to_owned()],
+            ..Piece::default()
+        }
     };
     let broken: Arc<[u8]> = png([1, 2, 3])[..40].into();
     let source = Given(vec![

@@ -106,7 +106,7 @@ fn tilesets_that_double_at_every_level_are_stopped() {
     }
     scratch.tileset("60.json", &tile(1.0, "a.glb", &[]));
     scratch.tileset("tileset.json", &tile(1.0, "0.json", &[]));
-    let error = load(&scratch.path().join("tileset.json"), 10_000).err().expect("must be refused");
+    let error = load(&scratch.path().join("tileset.json"), 10_000, false).err().expect("must be refused");
     assert!(matches!(error, Tiles3dError::TooMany { limit: 10_000 }), "{error}");
 }
 

@@ -14,25 +14,25 @@ use serde_json::{Value, json};
 use crate::world::{self, World, WorldError};
 
 /// A folder that is removed at the end of the test.
-struct Scratch(tempfile::TempDir);
+pub(super) struct Scratch(tempfile::TempDir);
 
 impl Scratch {
-    fn new() -> Scratch {
+    pub(super) fn new() -> Scratch {
         Scratch(tempfile::tempdir().unwrap())
     }
 
-    fn path(&self) -> &Path {
+    pub(super) fn path(&self) -> &Path {
         self.0.path()
     }
 
-    fn put(&self, file: &str, bytes: impl AsRef<[u8]>) -> PathBuf {
+    pub(super) fn put(&self, file: &str, bytes: impl AsRef<[u8]>) -> PathBuf {
         let path = self.path().join(file);
         fs::create_dir_all(path.parent().unwrap()).unwrap();
         fs::write(&path, bytes).unwrap();
         path
     }
 
-    fn tileset(&self, file: &str, root: &Value) -> PathBuf {
+    pub(super) fn tileset(&self, file: &str, root: &Value) -> PathBuf {
         let document = json!({ "asset": { "version": "1.1" }, "geometricError": 100.0, "root": root });
         self.put(file, serde_json::to_vec(&document).unwrap())
     }
@@ -48,7 +48,7 @@ fn anywhere() -> Value {
 }
 
 /// A tile with one content.
-fn tile(error: f64, uri: &str, children: &[Value]) -> Value {
+pub(super) fn tile(error: f64, uri: &str, children: &[Value]) -> Value {
     json!({
         "boundingVolume": anywhere(), "geometricError": error, "refine": "REPLACE",
         "content": { "uri": uri }, "children": children,
@@ -62,7 +62,7 @@ fn empty_tile(children: &[Value]) -> Value {
 
 /// A GLB of one rectangle, 1 m along x and 2 m along −z in glTF axes: 1 m along x and 2 m along y of the tile, facing
 /// up, at the height 0.5. 4 vertices of 12 bytes, 6 indices of 2 bytes, and, if given, an image.
-fn rectangle(image: Option<&[u8]>) -> Vec<u8> {
+pub(super) fn rectangle(image: Option<&[u8]>) -> Vec<u8> {
     let positions: [[f32; 3]; 4] = [[0.0, 0.5, 0.0], [1.0, 0.5, 0.0], [1.0, 0.5, -2.0], [0.0, 0.5, -2.0]];
     let mut binary: Vec<u8> = positions.iter().flatten().flat_map(|value| value.to_le_bytes()).collect();
     binary.extend([0_u16, 1, 2, 0, 2, 3].iter().flat_map(|index| index.to_le_bytes()));
