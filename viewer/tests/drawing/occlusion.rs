@@ -8,6 +8,8 @@ use foresight_viewer::gpu::Renderer;
 use foresight_viewer::scene::content::Content;
 use glam::DVec3;
 
+const SIZE: [u32; 2] = [160, 120];
+
 /// A wall of 40 m across the y axis, and behind it 40 plates of 3 m that face it, of different colours.
 fn street(renderer: &mut Renderer) -> u32 {
     let front = Direction::from_signs([0, -1, 0]).expect("canonical");
@@ -50,7 +52,7 @@ fn pictures_are_the_same_with_and_without_culling() {
     };
     for samples in [1, 4] {
         let (mut culled, mut whole) = (renderer(&gpu), renderer(&gpu));
-        whole.settings().occlusion = false;
+        culled.settings().occlusion = true;
         (culled.settings().samples, whole.settings().samples) = (samples, samples);
         let reps = street(&mut culled);
         street(&mut whole);
@@ -66,26 +68,26 @@ fn pictures_are_the_same_with_and_without_culling() {
 }
 
 #[test]
-fn what_is_behind_the_wall_is_left_out_from_the_second_frame_on_at_once() {
+fn what_is_behind_the_wall_is_left_out_once_the_wall_is_known() {
     let Some(gpu) = gpu() else {
         return;
     };
     let mut renderer = renderer(&gpu);
+    renderer.settings().occlusion = true;
     let reps = street(&mut renderer);
-    let view = looking(DVec3::new(0.0, -45.0, 0.0), DVec3::ZERO, [320, 240]);
+    let view = looking(DVec3::new(0.0, -45.0, 0.0), DVec3::ZERO, SIZE);
     let mut frames = Vec::new();
     for _ in 0..3 {
         renderer.picture(&view, &list(0..reps)).expect("a picture");
         frames.push(renderer.occlusion().expect("its answers, for it was read back"));
     }
-    // Of the first frame nothing is known before; what it draws first is nothing, and it hides nothing.
-    assert_eq!(frames[0].points_drawn, frames[0].points, "{frames:?}");
-    let wall = 64 * 64;
-    assert!(frames[1].points > 15_000 && frames[1].points_drawn < 2 * wall, "{frames:?}");
-    assert_eq!(frames[1], frames[2]);
+    // Of the first frame nothing is known before: the test finds nothing drawn, and lets all through. The second draws all
+    // at once, and only then knows what that hid.
+    assert!(frames[..2].iter().all(|frame| frame.points_drawn == frame.points), "{frames:?}");
+    assert!(frames[2].points > 14_000 && frames[2].points_drawn < 5000 && frames[2].tiles_drawn == 16, "{frames:?}");
     // Without the wall everything is seen again, in the first frame.
     let (alone, _) = renderer.picture(&view, &list(1..reps)).expect("a picture");
-    assert!((0..320 * 240).filter(|&at| !alone.is_sky(at)).count() > 5000);
+    assert!((0..160 * 120).filter(|&at| !alone.is_sky(at)).count() > 500);
     let counts = renderer.occlusion().expect("answers");
     assert!(10 * counts.points_drawn > 9 * counts.points, "{counts:?}");
     renderer.picture(&view, &list([])).expect("an empty picture");
