@@ -94,6 +94,8 @@ pub struct RenderSettings {
     pub samples: u32,
     /// What is nearer to the camera's plane than this is not drawn, metres; more than 0.
     pub near: f64,
+    /// Whether tiles of orthoviews that are hidden by others are left out, where the adapter can tell. It changes no picture.
+    pub occlusion: bool,
     /// Whether what is uploaded from now on is kept in compressed blocks, where the adapter has them.
     pub compress: bool,
 }
@@ -106,6 +108,7 @@ impl Default for RenderSettings {
             background: Background::default(),
             samples: 1,
             near: 0.1,
+            occlusion: true,
             compress: false,
         }
     }

@@ -4,6 +4,7 @@ mod directions;
 mod flights;
 mod quality;
 mod rank;
+mod resident;
 mod streamed;
 mod worlds;
 
@@ -17,7 +18,7 @@ use std::process::ExitCode;
 /// Measures what the viewer draws
 #[derive(Debug, Parser)]
 #[command(
-    after_help = "Examples:\n  pictures quality --out out\n  pictures streamed --small\n  pictures directions --worlds built --out out"
+    after_help = "Examples:\n  pictures quality --out out\n  pictures streamed --small\n  pictures resident --sun --out out\n  pictures directions --worlds built --out out"
 )]
 struct Cli {
     #[command(subcommand)]
@@ -63,6 +64,18 @@ enum Figure {
         /// Pictures a second; divides 60
         #[arg(long, default_value_t = 2, value_name = "N", value_parser = rate)]
         rate: u64,
+        /// Only flights whose names hold this
+        #[arg(long, value_name = "TEXT")]
+        only: Option<String>,
+    },
+    /// Everything resident, three directions a cell, against the input's surfaces drawn as triangles
+    Resident {
+        /// Pictures a second; divides 60
+        #[arg(long, default_value_t = 1, value_name = "N", value_parser = rate)]
+        rate: u64,
+        /// With the sun from the side, so that normals are seen; without, colours are as they are
+        #[arg(long)]
+        sun: bool,
         /// Only flights whose names hold this
         #[arg(long, value_name = "TEXT")]
         only: Option<String>,
@@ -168,6 +181,10 @@ fn measured(cli: &Cli, folder: &Path) -> Result<Findings, Fault> {
                 stored_scenes(folder, cli.small, only.as_deref())?.into_iter().filter(|(_, c)| *c).map(|(s, _)| s),
             );
             streamed::findings(&scenes, *rate, MEMORY)
+        }
+        Figure::Resident { rate, sun, only } => {
+            let scenes = resident::scenes(folder, cli.small, only.as_deref(), size(cli.small))?;
+            resident::findings(&scenes, *rate, *sun)
         }
         Figure::Directions { rate } => directions::findings(&directed_scenes(folder, cli.small)?, *rate),
     }
