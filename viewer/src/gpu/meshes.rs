@@ -23,41 +23,6 @@ struct DrawnPart {
     group: wgpu::BindGroup,
 }
 
-/// Levels of an image by averaging 2 × 2 texels in linear light, down to one texel; opacity is averaged as it is.
-/// Colours count by their opacity, so that what is invisible does not bleed.
-fn levels(image: &TextureImage) -> (u32, Vec<u8>) {
-    use foresight_index::orthoview::texture::{encoded, linear};
-    let mut data = image.texels.clone();
-    let mut level = image.texels.clone();
-    let [mut width, mut height] = image.size.map(|side| side as usize);
-    let mut count = 1;
-    while width > 1 || height > 1 {
-        let (columns, rows) = ((width / 2).max(1), (height / 2).max(1));
-        let mut next = Vec::with_capacity(4 * columns * rows);
-        for row in 0..rows {
-            for column in 0..columns {
-                let (mut light, mut opacity) = ([0.0f32; 3], 0.0f32);
-                for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
-                    let at = 4 * ((2 * row + dy).min(height - 1) * width + (2 * column + dx).min(width - 1));
-                    let alpha = f32::from(level[at + 3]) / 255.0;
-                    opacity += alpha;
-                    for (sum, &byte) in light.iter_mut().zip(&level[at..at + 3]) {
-                        *sum += alpha.max(1e-3) * linear(byte);
-                    }
-                }
-                let weight = opacity.max(4e-3);
-                next.extend(light.map(|sum| encoded((sum / weight).min(1.0))));
-                #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "0 to 255")]
-                next.push((63.75 * opacity).round() as u8);
-            }
-        }
-        data.extend_from_slice(&next);
-        (level, width, height) = (next, columns, rows);
-        count += 1;
-    }
-    (count, data)
-}
-
 fn check(mesh: &Mesh, limits: &wgpu::Limits) -> Result<(), GpuError> {
     let vertices = mesh.vertices.len() as u64;
     let buffers = [
@@ -89,14 +54,15 @@ fn check(mesh: &Mesh, limits: &wgpu::Limits) -> Result<(), GpuError> {
         }
     }
     for texture in &mesh.textures {
-        let [columns, rows] = texture.size.map(u64::from);
-        let expected = 4 * columns * rows;
-        if texture.texels.len() as u64 != expected || expected == 0 {
-            return Err(GpuError::Content { what: "bytes of a texture", found: texture.texels.len() as u64, expected });
+        let (found, expected) = (texture.texels.len(), texture.levels().map(|(_, texels)| texels.len()).sum::<usize>());
+        if found != expected || expected == 0 {
+            let (found, expected) = (found as u64, expected as u64);
+            return Err(GpuError::Content { what: "bytes of a texture", found, expected });
         }
         let most = limits.max_texture_dimension_2d.into();
-        if columns.max(rows) > most {
-            return Err(GpuError::TooLarge { what: "a side of a texture", found: columns.max(rows), most });
+        let found = texture.size[0].max(texture.size[1]).into();
+        if found > most {
+            return Err(GpuError::TooLarge { what: "a side of a texture", found, most });
         }
     }
     Ok(())
@@ -125,20 +91,19 @@ impl Triangles {
         let white = TextureImage { size: [1, 1], texels: vec![255; 4] };
         let mut views = Vec::with_capacity(mesh.textures.len() + 1);
         for image in mesh.textures.iter().map(|image| &**image).chain([&white]) {
-            let (count, data) = levels(image);
-            bytes += data.len() as u64;
+            bytes += image.texels.len() as u64;
             let descriptor = wgpu::TextureDescriptor {
                 label: Some("texture"),
                 size: wgpu::Extent3d { width: image.size[0], height: image.size[1], depth_or_array_layers: 1 },
-                mip_level_count: count,
+                mip_level_count: image.levels().count() as u32,
                 sample_count: 1,
                 dimension: wgpu::TextureDimension::D2,
                 format: wgpu::TextureFormat::Rgba8UnormSrgb,
                 usage: wgpu::TextureUsages::TEXTURE_BINDING,
                 view_formats: &[],
             };
-            let texture =
-                device.create_texture_with_data(queue, &descriptor, wgpu::wgt::TextureDataOrder::LayerMajor, &data);
+            let order = wgpu::wgt::TextureDataOrder::LayerMajor;
+            let texture = device.create_texture_with_data(queue, &descriptor, order, &image.texels);
             views.push(texture.create_view(&wgpu::TextureViewDescriptor::default()));
         }
         let parts = mesh.parts.iter().map(|part| {
