@@ -9,6 +9,10 @@ pub(crate) mod window;
 use anyhow::{Context, bail};
 use clap::{Parser, ValueEnum};
 use foresight_index::world::World;
+#[cfg(feature = "draw")]
+use foresight_scheduler::benefit::coverage::Refinement;
+#[cfg(feature = "draw")]
+use foresight_scheduler::scheduler::SchedulerSettings;
 use foresight_traces::arguments::{self, PathArgs};
 use foresight_traces::client::ClientSettings;
 use foresight_traces::flight::{Flight, TICKS_PER_SECOND};
@@ -66,13 +70,17 @@ pub(crate) struct Cli {
     /// Policy with its options, such as foresight:alpha=0.8; the server's default, or foresight, if not given
     #[arg(long, value_name = "POLICY")]
     pub(crate) policy: Option<String>,
+    /// Views a second with --no-draw, 60 if not given; pictures a second with --headless, 2 if not given: 60 or what
+    /// divides it
+    #[arg(long, value_name = "N")]
+    rate: Option<u64>,
     /// When children may be drawn
     #[arg(long, default_value = "partial", value_name = "KIND")]
     refinement: RefinementWord,
     /// Announce the path so many seconds ahead, renewed once a second
     #[arg(long, default_value_t = 0.0, value_name = "SECONDS", value_parser = seconds)]
     pub(crate) announce: f64,
-    /// A modelled link, as `foresight-sim replay` takes it, without a server or with --no-fetch (there
+    /// A modelled link, as `foresight-sim replay` takes it, without a server or with --no-fetch (there and with --headless
     /// constant:20Mbit,40ms if not given); without it contents come as fast as they can be read
     #[arg(long, value_name = "LINK")]
     link: Option<String>,
@@ -130,8 +138,8 @@ fn seconds(text: &str) -> Result<f64, String> {
     seconds.ok_or_else(|| format!("`{text}`; expected seconds from 0 to 86400"))
 }
 
-/// The link of `--no-fetch` if none is given.
-const LINK: &str = "constant:20Mbit,40ms";
+/// The link of `--no-fetch` and of `--headless` if none is given.
+pub(crate) const LINK: &str = "constant:20Mbit,40ms";
 
 impl Cli {
     /// How it is to run.
@@ -148,6 +156,15 @@ impl Cli {
         HttpSettings { http2: self.http2, stall: Duration::from_secs_f64(self.stall), token: self.token.clone() }
     }
 
+    /// Ticks from one view, or picture, to the next; `default` of them are made a second where nothing is said.
+    pub(crate) fn ticks(&self, default: u64) -> anyhow::Result<u64> {
+        let rate = self.rate.unwrap_or(default);
+        if rate == 0 || !TICKS_PER_SECOND.is_multiple_of(rate) {
+            bail!("--rate {rate}; expected 60 or what divides it");
+        }
+        Ok(TICKS_PER_SECOND / rate)
+    }
+
     /// The modelled link, if one is asked for.
     #[cfg(feature = "draw")]
     pub(crate) fn link(&self) -> anyhow::Result<Option<LinkTrace>> {
@@ -162,10 +179,7 @@ impl Cli {
 
     /// What every session has in common.
     pub(crate) fn plan(&self) -> anyhow::Result<Plan> {
-        let NoDrawArgs { rate, decode_rate, upload_budget, no_fetch, mode, .. } = &self.no_draw_args;
-        if *rate == 0 || !TICKS_PER_SECOND.is_multiple_of(*rate) {
-            bail!("--rate {rate}; expected 60 or what divides it");
-        }
+        let NoDrawArgs { decode_rate, upload_budget, no_fetch, mode, .. } = &self.no_draw_args;
         if decode_rate.is_nan() || *decode_rate <= 0.0 || *upload_budget == 0 {
             bail!("--decode-rate {decode_rate} and --upload-budget {upload_budget}; expected more than 0");
         }
@@ -201,13 +215,29 @@ impl Cli {
                 announce_s: self.announce,
                 ..ClientSettings::default()
             },
-            ticks_per_view: TICKS_PER_SECOND / rate,
+            ticks_per_view: self.ticks(TICKS_PER_SECOND)?,
             modelled: if *no_fetch {
                 Some(arguments::open_link(Some(self.link.as_deref().unwrap_or(LINK)))?)
             } else {
                 None
             },
         })
+    }
+
+    /// What `--world` says.
+    #[cfg(feature = "draw")]
+    pub(crate) fn world_name(&self) -> Option<&str> {
+        self.world.as_deref()
+    }
+
+    /// Memory and refinement of a scheduler in this program.
+    #[cfg(feature = "draw")]
+    pub(crate) fn scheduler(&self) -> SchedulerSettings {
+        let refinement = match self.refinement {
+            RefinementWord::Partial => Refinement::Partial,
+            RefinementWord::Atomic => Refinement::Atomic,
+        };
+        SchedulerSettings { refinement, ..SchedulerSettings::with_budget(self.memory) }
     }
 
     /// The world, if one is named.

@@ -1,5 +1,6 @@
 //! The camera: a view at every tick, and what is announced of its path.
 
+use crate::exchange::Exchange;
 use foresight_scheduler::view::View;
 use foresight_traces::flight::{TICKS_PER_SECOND, tick_time};
 use foresight_wire::message::{Camera, ClientMessage, Path, Views, Waypoint};
@@ -65,6 +66,43 @@ impl<'a> Cameraman<'a> {
             .map(|t| Waypoint { t_ns: tick_time(t as u64).0.saturating_sub(epoch_ns), camera: camera(self.view(t)) })
             .collect();
         Some(ClientMessage::Path(Path { views }))
+    }
+}
+
+/// Where a session's camera is from.
+#[derive(Clone, Debug)]
+pub enum Eye<'a> {
+    /// On a path that is known beforehand.
+    Path(Cameraman<'a>),
+    /// Moved by whoever draws.
+    Hand(&'a Exchange),
+}
+
+impl Eye<'_> {
+    /// As [`Cameraman::look`]; `None` if there is no camera yet.
+    pub fn look(&self, tick: usize, t_ns: u64) -> Option<ClientMessage> {
+        match self {
+            Eye::Path(path) => Some(path.look(tick, t_ns)),
+            Eye::Hand(exchange) => {
+                let view = exchange.view()?;
+                Some(ClientMessage::View(Views { t_ns, cameras: vec![camera(&view)] }))
+            }
+        }
+    }
+
+    /// As [`Cameraman::forget_announced`].
+    pub fn forget_announced(&mut self) {
+        if let Eye::Path(path) = self {
+            path.forget_announced();
+        }
+    }
+
+    /// As [`Cameraman::announce`].
+    pub fn announce(&mut self, tick: usize, epoch_ns: u64) -> Option<ClientMessage> {
+        match self {
+            Eye::Path(path) => path.announce(tick, epoch_ns),
+            Eye::Hand(_) => None,
+        }
     }
 }
 

@@ -1,6 +1,7 @@
-//! Requests over HTTP: bodies are counted byte by byte as they come, and dropped: what is in them is not shown.
+//! Requests over HTTP: bodies are counted byte by byte as they come. They are kept where they are to be shown, else dropped.
 
 use crate::clock::Clock;
+use bytes::Bytes;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -54,8 +55,8 @@ pub enum FetchError {
 pub enum Step {
     /// The response's head came.
     Responded,
-    /// It has ended.
-    Ended(Result<(), FetchError>),
+    /// It has ended, with its body if bodies are kept.
+    Ended(Result<Bytes, FetchError>),
 }
 
 /// What happened to which, and when by the program's clock.
@@ -155,13 +156,15 @@ pub struct Requests {
     total: Arc<AtomicU64>,
     /// Whether contents are what their names say.
     has_files: bool,
+    /// Whether bodies are kept.
+    keeps: bool,
     sender: mpsc::UnboundedSender<(u64, TransferEvent)>,
     events: mpsc::UnboundedReceiver<(u64, TransferEvent)>,
 }
 
 impl Requests {
-    /// None yet. `has_files` if contents are to begin as the ends of their names say.
-    pub fn new(http: Http, has_files: bool, clock: Clock) -> Requests {
+    /// None yet. `has_files` if contents are to begin as the ends of their names say, `keeps` if bodies are kept.
+    pub fn new(http: Http, has_files: bool, keeps: bool, clock: Clock) -> Requests {
         let (sender, events) = mpsc::unbounded_channel();
         Requests {
             http,
@@ -170,6 +173,7 @@ impl Requests {
             next_id: 0,
             total: Arc::new(AtomicU64::new(0)),
             has_files,
+            keeps,
             sender,
             events,
         }
@@ -195,6 +199,7 @@ impl Requests {
             content: content(url).filter(|_| self.has_files),
             received: received.clone(),
             total: self.total.clone(),
+            keeps: self.keeps,
         };
         let (clock, sender) = (self.clock, self.sender.clone());
         // The session may have ended: then nobody hears.
@@ -227,6 +232,11 @@ impl Requests {
         }
     }
 
+    /// Bytes of a request under way that have come.
+    pub fn received(&self, rep: u32) -> u64 {
+        self.requests.get(&rep).map_or(0, |request| request.received.load(Ordering::Acquire))
+    }
+
     /// Bytes received since the start, and of these those of requests under way.
     pub fn bytes(&self) -> (u64, u64) {
         // In this order no byte in flight can be missing from the total.
@@ -254,10 +264,11 @@ struct Body {
     content: Option<&'static str>,
     received: Arc<AtomicU64>,
     total: Arc<AtomicU64>,
+    keeps: bool,
 }
 
 impl Body {
-    async fn receive(self, request: reqwest::RequestBuilder, responded: impl FnOnce()) -> Result<(), FetchError> {
+    async fn receive(self, request: reqwest::RequestBuilder, responded: impl FnOnce()) -> Result<Bytes, FetchError> {
         let stalled = |_| FetchError::Stalled(self.stall.as_secs());
         let mut response =
             tokio::time::timeout(self.stall, request.send()).await.map_err(stalled)?.map_err(|e| transport(&e))?;
@@ -269,6 +280,8 @@ impl Body {
             return Err(FetchError::Length { expected: self.expected, got });
         }
         let (mut got, mut head) = (0u64, Vec::with_capacity(HEAD_BYTES));
+        // The client has made room for what the server has announced.
+        let mut kept = Vec::with_capacity(if self.keeps { usize::try_from(self.expected).unwrap_or(0) } else { 0 });
         loop {
             let chunk = tokio::time::timeout(self.stall, response.chunk()).await.map_err(stalled)?;
             let Some(chunk) = chunk.map_err(|e| transport(&e))? else { break };
@@ -278,6 +291,9 @@ impl Body {
             self.received.fetch_add(chunk.len() as u64, Ordering::AcqRel);
             if got > self.expected {
                 break;
+            }
+            if self.keeps {
+                kept.extend_from_slice(&chunk);
             }
         }
         if got != self.expected {
@@ -289,7 +305,7 @@ impl Body {
                 found.iter_mut().zip(&head).for_each(|(to, from)| *to = *from);
                 Err(FetchError::Content { found, expected })
             }
-            _ => Ok(()),
+            _ => Ok(Bytes::from(kept)),
         }
     }
 }

@@ -1,6 +1,8 @@
 //! `foresight-viewer`.
 
 mod arguments;
+#[cfg(feature = "draw")]
+mod frames;
 mod no_draw;
 
 use anyhow::{Context, bail};
@@ -49,7 +51,7 @@ fn runtime(threads: Option<u32>) -> anyhow::Result<tokio::runtime::Runtime> {
 
 #[cfg(feature = "draw")]
 fn headless(cli: &Cli) -> anyhow::Result<bool> {
-    bail!("no frames can be drawn yet: {:?}", cli.headless_args)
+    frames::run(cli)
 }
 
 #[cfg(not(feature = "draw"))]

@@ -1,6 +1,7 @@
 //! Requests on a modelled link, for load without content: the server decides as for a client that fetches.
 
 use crate::fetch::{Step, TransferEvent};
+use bytes::Bytes;
 use foresight_scheduler::units::Time;
 use foresight_traces::link::LinkTrace;
 use foresight_traces::link::shared::SharedLink;
@@ -64,7 +65,7 @@ impl ModelledRequests {
         for (id, at) in ended {
             if let Some(rep) = self.rep_of.remove(&id) {
                 self.id_of.remove(&rep);
-                events.push(TransferEvent { at_ns: at.0, rep, step: Step::Ended(Ok(())) });
+                events.push(TransferEvent { at_ns: at.0, rep, step: Step::Ended(Ok(Bytes::new())) });
             }
         }
         // The sort is stable: of one request, the response stays before the end.

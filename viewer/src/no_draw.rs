@@ -87,7 +87,7 @@ fn line(report: &Report) -> String {
     )
 }
 
-fn print<T: serde::Serialize>(json: bool, summary: &T, text: impl Fn(&T) -> String) -> anyhow::Result<()> {
+pub(crate) fn print<T: serde::Serialize>(json: bool, summary: &T, text: impl Fn(&T) -> String) -> anyhow::Result<()> {
     let text = if json { serde_json::to_string_pretty(summary)? + "\n" } else { text(summary) };
     // Whoever reads it may have seen enough.
     match std::io::stdout().write_all(text.as_bytes()) {

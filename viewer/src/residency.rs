@@ -2,7 +2,8 @@
 //!
 //! Memory is counted by what is there: wire bytes from a request until it is shown, decoded bytes from its last byte on.
 //! The server plans within the same budget; where client and server disagree for a moment (messages cross, a session was
-//! lost), the client's own account decides, and nothing is taken in that does not fit.
+//! lost), the client's own account decides, and nothing is taken in that does not fit. Decoding is modelled, or done by others
+//! who say when.
 
 use crate::events::{Happening, What};
 use foresight_scheduler::lod_tree::RepId;
@@ -46,6 +47,13 @@ struct Held {
     discard_on_arrival: Vec<u32>,
 }
 
+#[derive(Debug)]
+enum Decoding {
+    Modelled(Pipeline),
+    /// What others have decoded and uploaded, and cannot be shown yet.
+    Told(BTreeSet<u32>),
+}
+
 /// What the client holds.
 #[derive(Debug)]
 pub struct Residency {
@@ -54,7 +62,7 @@ pub struct Residency {
     in_flight: usize,
     used: u64,
     used_max: u64,
-    pipeline: Pipeline,
+    decoding: Decoding,
     /// Whether anything was ever decoded after something else.
     has_prerequisites: bool,
     happened: Vec<Happening>,
@@ -63,15 +71,24 @@ pub struct Residency {
 }
 
 impl Residency {
-    /// Nothing, in `budget` bytes.
+    /// Nothing, in `budget` bytes; decoding and uploading are modelled.
     pub fn new(budget: u64, client: ClientSettings) -> Residency {
+        Residency::with(budget, Decoding::Modelled(Pipeline::new(client)))
+    }
+
+    /// Nothing, in `budget` bytes; [`Residency::uploaded`] is told what is decoded and uploaded.
+    pub fn drawn(budget: u64) -> Residency {
+        Residency::with(budget, Decoding::Told(BTreeSet::new()))
+    }
+
+    fn with(budget: u64, decoding: Decoding) -> Residency {
         Residency {
             budget,
             held: BTreeMap::new(),
             in_flight: 0,
             used: 0,
             used_max: 0,
-            pipeline: Pipeline::new(client),
+            decoding,
             has_prerequisites: false,
             happened: Vec::new(),
             aborted: Vec::new(),
@@ -217,7 +234,14 @@ impl Residency {
                 held.wire_bytes
             }
             Stage::Arrived => {
-                self.pipeline.give_up(RepId(rep));
+                match &mut self.decoding {
+                    Decoding::Modelled(pipeline) => {
+                        pipeline.give_up(RepId(rep));
+                    }
+                    Decoding::Told(uploaded) => {
+                        uploaded.remove(&rep);
+                    }
+                }
                 held.wire_bytes + held.decoded_bytes
             }
             Stage::Resident => held.decoded_bytes,
@@ -271,7 +295,9 @@ impl Residency {
             let Some(held) = self.held.get_mut(&rep) else { return };
             held.stage = Stage::Arrived;
             let known = held.known;
-            self.pipeline.arrived(RepId(rep), decoded_bytes, Time(at_ns));
+            if let Decoding::Modelled(pipeline) = &mut self.decoding {
+                pipeline.arrived(RepId(rep), decoded_bytes, Time(at_ns));
+            }
             self.note(at_ns, rep, What::Arrived, known);
             return;
         };
@@ -297,6 +323,27 @@ impl Residency {
         }
     }
 
+    /// Whether it has arrived and cannot be shown yet.
+    pub fn is_arrived(&self, rep: u32) -> bool {
+        self.held.get(&rep).is_some_and(|held| held.stage == Stage::Arrived)
+    }
+
+    /// It is decoded and uploaded, by others: [`Residency::show`] lets it be seen.
+    pub fn uploaded(&mut self, rep: u32) {
+        if self.is_arrived(rep)
+            && let Decoding::Told(uploaded) = &mut self.decoding
+        {
+            uploaded.insert(rep);
+        }
+    }
+
+    /// It is lost, with the device that had it; the server is told.
+    pub fn lose(&mut self, rep: u32, at_ns: u64) {
+        let Some(known) = self.held.get(&rep).map(|held| held.known) else { return };
+        self.let_go(rep);
+        self.note(at_ns, rep, What::Dropped, known);
+    }
+
     /// Uploads what is decoded, once a tick.
     pub fn show(&mut self, now_ns: u64) {
         loop {
@@ -306,7 +353,15 @@ impl Residency {
                 let after = held.get(&rep.0).and_then(|held| held.after);
                 after.is_none_or(|after| held.get(&after).is_some_and(|held| held.stage == Stage::Resident))
             };
-            self.pipeline.upload(Time(now_ns), ready, |rep| completed.push(rep.0));
+            match &mut self.decoding {
+                Decoding::Modelled(pipeline) => pipeline.upload(Time(now_ns), ready, |rep| completed.push(rep.0)),
+                Decoding::Told(uploaded) => {
+                    completed.extend(uploaded.iter().copied().filter(|&rep| ready(RepId(rep))));
+                    completed.iter().for_each(|rep| {
+                        uploaded.remove(rep);
+                    });
+                }
+            }
             for &rep in &completed {
                 let Some(held) = self.held.get_mut(&rep) else { continue };
                 held.stage = Stage::Resident;

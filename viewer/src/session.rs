@@ -3,11 +3,18 @@
 //! At every tick (60 Hz) what has happened until then is reported in one frame, in the order of the simulator's tick: first
 //! and last bytes by their times, what can be shown, bytes received, the announced path, the view. What the server answers
 //! is obeyed when it comes. A tick that has passed before it could be played is left out.
+//!
+//! A session that is drawn ([`fly_drawn`]) has its camera from an [`Exchange`], and puts there what comes.
 
-use crate::camera::Cameraman;
+mod drawn;
+
+pub use drawn::{Drawn, fly_drawn};
+
+use crate::camera::{Cameraman, Eye};
 use crate::clock::Clock;
 use crate::connection::{Address, Connection, Incoming};
 use crate::events::{Happening, Log, What};
+use crate::exchange::{Body, Exchange};
 use crate::fetch::{Http, Requests, Step, TransferEvent};
 use crate::modelled::ModelledRequests;
 use crate::residency::{Admission, Residency};
@@ -29,6 +36,8 @@ const SILENCE_NS: u64 = 15_000_000_000;
 const LEFT_OVER_NS: u64 = 3_000_000_000;
 /// How long the first connection may take.
 const PATIENCE_NS: u64 = 20_000_000_000;
+/// How soon it is noticed that nobody draws any more, while there is no session.
+const LEAVING_NS: u64 = 100_000_000;
 /// Errors of the server that are kept.
 const ERRORS_MAX: usize = 20;
 /// Kinds of failures that are told apart.
@@ -130,7 +139,13 @@ enum Transport {
 
 struct Session<'a> {
     plan: &'a Plan,
-    camera: Cameraman<'a>,
+    camera: Eye<'a>,
+    /// Where contents go, if they are drawn.
+    exchange: Option<&'a Exchange>,
+    /// What is on its way, if it is drawn.
+    wanted: BTreeMap<u32, Fetch>,
+    /// Why there is no connection.
+    away: String,
     clock: Clock,
     timed_from_ns: u64,
     connection: Connection,
@@ -158,6 +173,9 @@ struct Session<'a> {
     quality: (f64, u64, Option<f64>),
     log: Option<Log>,
     failed: BTreeMap<String, u64>,
+    failure: Option<String>,
+    /// Why the server waits.
+    waiting: Option<String>,
     summary: Summary,
 }
 
@@ -166,8 +184,9 @@ struct Session<'a> {
 /// # Errors
 /// When the server cannot be reached in the beginning, or refuses the session for good.
 pub async fn fly(flight: Flight<'_>, mut report: impl FnMut(&Report)) -> Result<(Summary, Histogram), FlightError> {
-    let (ticks, leave) = (flight.ticks, flight.leave);
-    let mut session = Session::new(flight);
+    let Flight { plan, views, offset, ticks, leave, log, clock, timed_from_ns, http } = flight;
+    let eye = Eye::Path(Cameraman::new(views, offset, plan.settings.announce_s));
+    let mut session = Session { log, timed_from_ns, ..Session::new(plan, eye, None, clock, http) };
     session.begin().await?;
     let mut tick = 0;
     while tick < ticks {
@@ -188,17 +207,19 @@ pub async fn fly(flight: Flight<'_>, mut report: impl FnMut(&Report)) -> Result<
 }
 
 impl<'a> Session<'a> {
-    fn new(flight: Flight<'a>) -> Session<'a> {
-        let Flight { plan, views, offset, log, clock, timed_from_ns, http, .. } = flight;
+    fn new(plan: &'a Plan, camera: Eye<'a>, exchange: Option<&'a Exchange>, clock: Clock, http: Http) -> Session<'a> {
         let transport = match &plan.modelled {
             Some(link) => Transport::Modelled(Box::new(ModelledRequests::new(link))),
-            None => Transport::Http(Requests::new(http, plan.has_files, clock)),
+            None => Transport::Http(Requests::new(http, plan.has_files, exchange.is_some(), clock)),
         };
         Session {
             plan,
-            camera: Cameraman::new(views, offset, plan.settings.announce_s),
+            camera,
+            exchange,
+            wanted: BTreeMap::new(),
+            away: String::new(),
             clock,
-            timed_from_ns,
+            timed_from_ns: 0,
             connection: Connection::new(plan.address.clone(), clock),
             welcome: None,
             resume: None,
@@ -211,13 +232,18 @@ impl<'a> Session<'a> {
             strangers: false,
             transport,
             pending: VecDeque::new(),
-            residency: Residency::new(plan.memory, plan.settings),
+            residency: match exchange {
+                Some(_) => Residency::drawn(plan.memory),
+                None => Residency::new(plan.memory, plan.settings),
+            },
             resident: BTreeSet::new(),
             unanswered: VecDeque::new(),
             latencies: Histogram::default(),
             quality: (0.0, 0, None),
-            log,
+            log: None,
             failed: BTreeMap::new(),
+            failure: None,
+            waiting: None,
             summary: Summary::default(),
         }
     }
@@ -226,7 +252,7 @@ impl<'a> Session<'a> {
     async fn begin(&mut self) -> Result<(), FlightError> {
         let until = self.clock.now_ns() + PATIENCE_NS;
         let mut why = "the server does not answer".to_owned();
-        while self.welcome.is_none() {
+        while self.welcome.is_none() && !self.exchange.is_some_and(Exchange::is_left) {
             tokio::select! {
                 incoming = self.connection.next() => {
                     if let Incoming::Lost(reason) = &incoming {
@@ -235,6 +261,7 @@ impl<'a> Session<'a> {
                     self.hear(incoming)?;
                 }
                 () = self.clock.sleep_until(until) => return Err(FlightError::NoSession(why)),
+                () = self.clock.sleep_until(self.clock.now_ns() + LEAVING_NS), if self.exchange.is_some() => {}
             }
         }
         self.summary.reconnections = 0;
@@ -276,7 +303,8 @@ impl<'a> Session<'a> {
                 self.greeted_bytes = self.bytes().0;
                 self.connection.send(&[ClientMessage::Hello(Box::new(hello))]);
             }
-            Incoming::Lost(_) => {
+            Incoming::Lost(why) => {
+                self.away = why;
                 self.welcome = None;
                 self.unanswered.clear();
             }
@@ -308,7 +336,10 @@ impl<'a> Session<'a> {
         let now = self.now_ns();
         match message {
             ServerMessage::Welcome(welcome) => self.enter(*welcome),
-            ServerMessage::Fetch(fetch) => self.fetch(&fetch, now),
+            ServerMessage::Fetch(fetch) => {
+                self.waiting = None;
+                self.fetch(&fetch, now);
+            }
             ServerMessage::Cancel { rep } => {
                 self.summary.cancelled += 1;
                 self.residency.cancel(rep, now);
@@ -326,8 +357,9 @@ impl<'a> Session<'a> {
                     self.quality.1 += 1;
                 }
             }
-            // Who plays a recorded path has no rules of its own to fall back upon.
-            ServerMessage::Wait { .. } | ServerMessage::Switch { .. } => {}
+            ServerMessage::Wait { because, .. } => self.waiting = because,
+            // This client has no rules of its own to fall back upon.
+            ServerMessage::Switch { .. } => {}
             ServerMessage::Error(error) => self.wrong(error)?,
         }
         Ok(())
@@ -364,10 +396,15 @@ impl<'a> Session<'a> {
         if self.welcome.is_none() && matches!(error.code, ErrorCode::Version | ErrorCode::World | ErrorCode::Value) {
             return Err(FlightError::Refused(error.message));
         }
+        self.give_up_connection(error.message);
+        Ok(())
+    }
+
+    fn give_up_connection(&mut self, why: String) {
+        self.away = why;
         self.welcome = None;
         self.unanswered.clear();
         self.connection.lose();
-        Ok(())
     }
 
     fn fetch(&mut self, fetch: &Fetch, now: u64) {
@@ -383,6 +420,9 @@ impl<'a> Session<'a> {
         match &mut self.transport {
             Transport::Modelled(requests) => requests.start(fetch.rep, fetch.wire_bytes, now),
             Transport::Http(requests) => {
+                if self.exchange.is_some() {
+                    self.wanted.insert(fetch.rep, fetch.clone());
+                }
                 let url = format!("{}{}/{}", self.plan.address.origin, welcome.base.trim_end_matches('/'), fetch.uri);
                 requests.start(fetch.rep, &url, &welcome.session, fetch.urgency, fetch.wire_bytes);
             }
@@ -426,7 +466,12 @@ impl<'a> Session<'a> {
         while let Some(event) = self.pending.pop_front_if(|event| event.at_ns <= now) {
             match event.step {
                 Step::Responded => self.residency.responded(event.rep, event.at_ns),
-                Step::Ended(Ok(())) => self.residency.arrived(event.rep, event.at_ns),
+                Step::Ended(Ok(body)) => {
+                    self.residency.arrived(event.rep, event.at_ns);
+                    if let Some(exchange) = self.exchange.filter(|_| self.residency.is_arrived(event.rep)) {
+                        exchange.give(event.rep, Body::Bytes(body));
+                    }
+                }
                 Step::Ended(Err(error)) => self.residency.fail(event.rep, event.at_ns, error.to_string()),
             }
             self.abort();
@@ -438,6 +483,7 @@ impl<'a> Session<'a> {
         let late_ms = self.now_ns().saturating_sub(now) as f64 / 1e6;
         self.summary.tick_late_ms_max = self.summary.tick_late_ms_max.max(late_ms);
         self.receive(now);
+        self.hear_screen(now);
         self.residency.show(now);
         if self.strangers && now.saturating_sub(self.greeted_ns) > LEFT_OVER_NS && self.welcome.is_some() {
             self.strangers = false;
@@ -452,9 +498,7 @@ impl<'a> Session<'a> {
             return Ok(());
         }
         if self.now_ns().saturating_sub(self.heard_ns) > SILENCE_NS {
-            self.welcome = None;
-            self.unanswered.clear();
-            self.connection.lose();
+            self.give_up_connection("the server is silent".to_owned());
             return Ok(());
         }
         let t_ns = now.saturating_sub(self.epoch_ns);
@@ -463,7 +507,7 @@ impl<'a> Session<'a> {
         let in_flight_bytes = in_flight_bytes.min(total_bytes);
         messages.push(ClientMessage::Progress(Progress { t_ns, total_bytes, in_flight_bytes }));
         messages.extend(self.camera.announce(tick, self.epoch_ns));
-        messages.push(self.camera.look(tick, t_ns));
+        messages.extend(self.camera.look(tick, t_ns));
         let sent = self.clock.now_ns();
         if self.connection.send(&messages) {
             self.summary.views += 1;
@@ -484,6 +528,14 @@ impl<'a> Session<'a> {
         happened.sort_by_key(|h| h.at_ns);
         for h in &happened {
             self.count(h);
+            if let Some(exchange) = self.exchange {
+                if !matches!(h.what, What::Requested | What::Responded) {
+                    self.wanted.remove(&h.rep);
+                }
+                if matches!(h.what, What::Cancelled | What::Discarded | What::Dropped | What::Failed { .. }) {
+                    exchange.take_back(h.rep);
+                }
+            }
             if let Some(log) = &mut self.log {
                 log.write(h)?;
             }
@@ -499,6 +551,7 @@ impl<'a> Session<'a> {
                 self.resident.insert(happening.rep);
             }
             What::Failed { reason } => {
+                self.failure = Some(reason.clone());
                 let kind = kind(reason);
                 if self.failed.len() < KINDS_MAX || self.failed.contains_key(&kind) {
                     *self.failed.entry(kind).or_default() += 1;

@@ -42,7 +42,7 @@ pub struct PathArgs {
     head: Option<String>,
     /// Where the path goes: geo (by coordinates; geo,height=M lifts it until its lowest pose is that high above the
     /// ground), or centre,height=2,yaw=0,scale=1 (its middle that many metres above the ground under the world's centre,
-    /// turned by degrees, scaled). If not given: geo where both have coordinates and meet, else centre; the built-in
+    /// turned by degrees, scaled), world (its coordinates are the world's own). If not given: geo where both have coordinates and meet, else centre; the built-in
     /// path stands in the built-in world as it is
     #[arg(long, value_name = "PLACE")]
     place: Option<Placement>,
@@ -93,8 +93,16 @@ impl PathArgs {
         self.head.as_deref()
     }
 
+    /// Pixels of the picture.
+    pub fn viewport(&self) -> [u32; 2] {
+        self.viewport
+    }
+
     /// Vertical field of view, radians.
-    fn fov_y(&self) -> anyhow::Result<f64> {
+    ///
+    /// # Errors
+    /// What is no angle between 0° and 180°.
+    pub fn fov_y(&self) -> anyhow::Result<f64> {
         if !(self.fov > 0.0 && self.fov < 180.0) {
             bail!("--fov {}; expected degrees between 0 and 180", self.fov);
         }

@@ -18,9 +18,6 @@ pub(crate) struct NoDrawArgs {
     /// Decoded bytes uploaded per 1/60 s
     #[arg(long, default_value_t = 8 << 20, value_name = "BYTES", requires = "no_draw")]
     pub(crate) upload_budget: u64,
-    /// Views a second: 60, or what divides it
-    #[arg(long, default_value_t = 60, value_name = "N", requires = "no_draw")]
-    pub(crate) rate: u64,
     /// Write what happens to each representation into this file, JSON lines
     #[arg(long, value_name = "FILE", conflicts_with = "clients", requires = "no_draw")]
     events: Option<PathBuf>,

@@ -12,6 +12,8 @@ pub(crate) struct Triangles {
     pub(crate) origin: DVec3,
     vertices: wgpu::Buffer,
     indices: wgpu::Buffer,
+    /// By texture, that without one last.
+    groups: Vec<wgpu::BindGroup>,
     parts: Vec<DrawnPart>,
     pub(crate) bytes: u64,
 }
@@ -20,7 +22,53 @@ pub(crate) struct Triangles {
 struct DrawnPart {
     indices: core::ops::Range<u32>,
     two_sided: bool,
-    group: wgpu::BindGroup,
+    /// Number of its group.
+    group: usize,
+    /// Where its uniform is, bytes.
+    uniform: u32,
+}
+
+/// What all meshes are drawn with.
+#[derive(Clone, Debug)]
+pub(crate) struct Shared {
+    sampler: wgpu::Sampler,
+    /// One texel, for parts without a texture.
+    white: wgpu::TextureView,
+}
+
+impl Shared {
+    pub(crate) fn new(device: &wgpu::Device, queue: &wgpu::Queue) -> Shared {
+        let sampler = device.create_sampler(&wgpu::SamplerDescriptor {
+            label: Some("textures"),
+            address_mode_u: wgpu::AddressMode::Repeat,
+            address_mode_v: wgpu::AddressMode::Repeat,
+            mag_filter: wgpu::FilterMode::Linear,
+            min_filter: wgpu::FilterMode::Linear,
+            mipmap_filter: wgpu::MipmapFilterMode::Linear,
+            ..Default::default()
+        });
+        let image = TextureImage { size: [1, 1], texels: vec![255; 4] };
+        Shared { sampler, white: texture(device, queue, &image) }
+    }
+}
+
+/// An image with the mips that it has.
+fn texture(device: &wgpu::Device, queue: &wgpu::Queue, image: &TextureImage) -> wgpu::TextureView {
+    let levels = image.levels().count();
+    let bytes: usize = image.levels().map(|(_, texels)| texels.len()).sum();
+    let descriptor = wgpu::TextureDescriptor {
+        label: Some("texture"),
+        size: wgpu::Extent3d { width: image.size[0], height: image.size[1], depth_or_array_layers: 1 },
+        mip_level_count: levels as u32,
+        sample_count: 1,
+        dimension: wgpu::TextureDimension::D2,
+        format: wgpu::TextureFormat::Rgba8UnormSrgb,
+        usage: wgpu::TextureUsages::TEXTURE_BINDING,
+        view_formats: &[],
+    };
+    let order = wgpu::wgt::TextureDataOrder::LayerMajor;
+    let texture = device.create_texture_with_data(queue, &descriptor, order, &image.texels[..bytes]);
+    texture.create_view(&wgpu::TextureViewDescriptor::default())
 }
 
 fn check(mesh: &Mesh, limits: &wgpu::Limits) -> Result<(), GpuError> {
@@ -54,10 +102,10 @@ fn check(mesh: &Mesh, limits: &wgpu::Limits) -> Result<(), GpuError> {
         }
     }
     for texture in &mesh.textures {
-        let (found, expected) = (texture.texels.len(), texture.levels().map(|(_, texels)| texels.len()).sum::<usize>());
-        if found != expected || expected == 0 {
-            let (found, expected) = (found as u64, expected as u64);
-            return Err(GpuError::Content { what: "bytes of a texture", found, expected });
+        let [columns, rows] = texture.size.map(u64::from);
+        let expected = 4 * columns * rows;
+        if (texture.texels.len() as u64) < expected || expected == 0 {
+            return Err(GpuError::Content { what: "bytes of a texture", found: texture.texels.len() as u64, expected });
         }
         let most = limits.max_texture_dimension_2d.into();
         let found = texture.size[0].max(texture.size[1]).into();
@@ -74,7 +122,7 @@ impl Triangles {
         device: &wgpu::Device,
         queue: &wgpu::Queue,
         layouts: &Layouts,
-        sampler: &wgpu::Sampler,
+        shared: &Shared,
         mesh: &Mesh,
     ) -> Result<Option<Triangles>, GpuError> {
         check(mesh, &device.limits())?;
@@ -88,45 +136,41 @@ impl Triangles {
         };
         let vertices = buffer("vertices", bytemuck::cast_slice(&mesh.vertices), wgpu::BufferUsages::VERTEX);
         let indices = buffer("indices", bytemuck::cast_slice(&mesh.indices), wgpu::BufferUsages::INDEX);
-        let white = TextureImage { size: [1, 1], texels: vec![255; 4] };
-        let mut views = Vec::with_capacity(mesh.textures.len() + 1);
-        for image in mesh.textures.iter().map(|image| &**image).chain([&white]) {
-            bytes += image.texels.len() as u64;
-            let descriptor = wgpu::TextureDescriptor {
-                label: Some("texture"),
-                size: wgpu::Extent3d { width: image.size[0], height: image.size[1], depth_or_array_layers: 1 },
-                mip_level_count: image.levels().count() as u32,
-                sample_count: 1,
-                dimension: wgpu::TextureDimension::D2,
-                format: wgpu::TextureFormat::Rgba8UnormSrgb,
-                usage: wgpu::TextureUsages::TEXTURE_BINDING,
-                view_formats: &[],
-            };
-            let order = wgpu::wgt::TextureDataOrder::LayerMajor;
-            let texture = device.create_texture_with_data(queue, &descriptor, order, &image.texels);
-            views.push(texture.create_view(&wgpu::TextureViewDescriptor::default()));
-        }
-        let parts = mesh.parts.iter().map(|part| {
+        // A uniform a part in one buffer, a bind group a texture: what has many parts with few textures has few groups.
+        let stride = device.limits().min_uniform_buffer_offset_alignment.max(16) as usize;
+        let mut uniforms = vec![0; stride * mesh.parts.len()];
+        for (place, part) in uniforms.chunks_exact_mut(stride).zip(&mesh.parts) {
             let [red, green, blue] = part.base;
-            let uniform = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
-                label: Some("part"),
-                contents: bytemuck::cast_slice(&[red, green, blue, part.cutoff]),
-                usage: wgpu::BufferUsages::UNIFORM,
-            });
-            let view = &views[part.texture.unwrap_or(mesh.textures.len())];
+            place[..16].copy_from_slice(bytemuck::bytes_of(&[red, green, blue, part.cutoff]));
+        }
+        let uniforms = buffer("parts", &uniforms, wgpu::BufferUsages::UNIFORM);
+        let group = |view: &wgpu::TextureView| {
             let entry = |binding, resource| wgpu::BindGroupEntry { binding, resource };
-            let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
-                label: Some("part"),
+            let size = core::num::NonZeroU64::new(16);
+            device.create_bind_group(&wgpu::BindGroupDescriptor {
+                label: Some("parts"),
                 layout: &layouts.part,
                 entries: &[
-                    entry(0, uniform.as_entire_binding()),
+                    entry(0, wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: &uniforms, offset: 0, size })),
                     entry(1, wgpu::BindingResource::TextureView(view)),
-                    entry(2, wgpu::BindingResource::Sampler(sampler)),
+                    entry(2, wgpu::BindingResource::Sampler(&shared.sampler)),
                 ],
-            });
-            DrawnPart { indices: part.indices.clone(), two_sided: part.two_sided, group }
+            })
+        };
+        let mut groups: Vec<wgpu::BindGroup> = Vec::with_capacity(mesh.textures.len() + 1);
+        for image in &mesh.textures {
+            groups.push(group(&texture(device, queue, image)));
+            bytes += image.texels.len() as u64;
+        }
+        groups.push(group(&shared.white));
+        let parts = mesh.parts.iter().enumerate().map(|(number, part)| DrawnPart {
+            indices: part.indices.clone(),
+            two_sided: part.two_sided,
+            group: part.texture.unwrap_or(mesh.textures.len()),
+            uniform: (number * stride) as u32,
         });
-        Ok(Some(Triangles { origin: mesh.origin, vertices, indices, parts: parts.collect(), bytes }))
+        let parts = parts.collect();
+        Ok(Some(Triangles { origin: mesh.origin, vertices, indices, groups, parts, bytes }))
     }
 
     /// Draws all parts, and counts triangles and draws.
@@ -136,7 +180,7 @@ impl Triangles {
         let mut triangles = 0;
         for part in &self.parts {
             pass.set_pipeline(&pipelines.meshes[usize::from(part.two_sided)]);
-            pass.set_bind_group(2, &part.group, &[]);
+            pass.set_bind_group(2, &self.groups[part.group], &[part.uniform]);
             pass.draw_indexed(part.indices.clone(), 0, 0..1);
             triangles += u64::from(part.indices.end - part.indices.start) / 3;
         }

@@ -76,7 +76,7 @@ impl Layouts {
             part: layout(
                 "part",
                 &[
-                    uniform(0, false),
+                    uniform(0, true),
                     texture(1, fragment, wgpu::TextureSampleType::Float { filterable: true }, false),
                     wgpu::BindGroupLayoutEntry {
                         binding: 2,
@@ -107,6 +107,8 @@ struct Kind<'a> {
     constants: &'a [(&'a str, f64)],
     cull_mode: Option<wgpu::Face>,
     writes_depth: bool,
+    /// Whether opacity says how many of a pixel's samples are covered.
+    covers: bool,
 }
 
 impl Pipelines {
@@ -145,12 +147,20 @@ impl Pipelines {
                     stencil: wgpu::StencilState::default(),
                     bias: wgpu::DepthBiasState::default(),
                 }),
-                multisample: wgpu::MultisampleState { count: samples, ..Default::default() },
+                multisample: wgpu::MultisampleState {
+                    count: samples,
+                    alpha_to_coverage_enabled: kind.covers && samples > 1,
+                    ..Default::default()
+                },
                 fragment: Some(wgpu::FragmentState {
                     module: &module,
                     entry_point: Some("fragment"),
                     compilation_options: options,
-                    targets: &[Some(format.into())],
+                    // Pictures are opaque, whatever covers their samples.
+                    targets: &[Some(wgpu::ColorTargetState {
+                        write_mask: if kind.covers { wgpu::ColorWrites::COLOR } else { wgpu::ColorWrites::ALL },
+                        ..format.into()
+                    })],
                 }),
                 multiview_mask: None,
                 cache: None,
@@ -167,9 +177,10 @@ impl Pipelines {
                 code: MESH,
                 layouts: &[Some(&layouts.frame), Some(&layouts.item), Some(&layouts.part)],
                 buffers: &[Some(vertex.clone())],
-                constants: &[],
+                constants: &[("SAMPLES", f64::from(samples))],
                 cull_mode,
                 writes_depth: true,
+                covers: true,
             })
         };
         Pipelines {
@@ -181,6 +192,7 @@ impl Pipelines {
                 constants: &[("SAMPLES", f64::from(samples))],
                 cull_mode: None,
                 writes_depth: true,
+                covers: false,
             }),
             meshes: [mesh(Some(wgpu::Face::Back)), mesh(None)],
             sky: make(Kind {
@@ -191,6 +203,7 @@ impl Pipelines {
                 constants: &[],
                 cull_mode: None,
                 writes_depth: false,
+                covers: false,
             }),
         }
     }

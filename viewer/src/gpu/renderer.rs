@@ -3,7 +3,7 @@
 use super::device::{Faults, Gpu, GpuError};
 use super::distance::Distance;
 use super::item::{FrameUniform, ItemUniform};
-use super::meshes::Triangles;
+use super::meshes::{self, Triangles};
 use super::pipelines::{Layouts, Pipelines};
 use super::relative::Eye;
 use super::settings::RenderSettings;
@@ -11,6 +11,7 @@ use super::splats::{Splats, shared_indices};
 use super::targets::{Targets, fitting};
 use crate::draw::list::DrawList;
 use crate::scene::content::Content;
+use crate::scene::resident::Uploads;
 use foresight_scheduler::lod_tree::{Aabb, RepId};
 use foresight_scheduler::view::View;
 use std::collections::BTreeMap;
@@ -58,7 +59,7 @@ pub struct Renderer {
     layouts: Layouts,
     /// By samples a pixel; made when first needed.
     pipelines: BTreeMap<u32, (Pipelines, Distance)>,
-    sampler: wgpu::Sampler,
+    meshes: meshes::Shared,
     corners: wgpu::Buffer,
     frame: wgpu::Buffer,
     pub(crate) frame_group: wgpu::BindGroup,
@@ -106,15 +107,6 @@ impl Renderer {
             layout: &layouts.frame,
             entries: &[wgpu::BindGroupEntry { binding: 0, resource: frame.as_entire_binding() }],
         });
-        let sampler = device.create_sampler(&wgpu::SamplerDescriptor {
-            label: Some("textures"),
-            address_mode_u: wgpu::AddressMode::Repeat,
-            address_mode_v: wgpu::AddressMode::Repeat,
-            mag_filter: wgpu::FilterMode::Linear,
-            min_filter: wgpu::FilterMode::Linear,
-            mipmap_filter: wgpu::MipmapFilterMode::Linear,
-            ..Default::default()
-        });
         let (items, items_group) = items_buffer(&device, &layouts, stride * ITEMS_FIRST);
         Renderer {
             corners: shared_indices(&device),
@@ -125,7 +117,7 @@ impl Renderer {
             settings,
             layouts,
             pipelines: BTreeMap::new(),
-            sampler,
+            meshes: meshes::Shared::new(&gpu.device, &gpu.queue),
             frame,
             frame_group,
             items,
@@ -155,7 +147,7 @@ impl Renderer {
         let made = match content {
             Content::Splats(image) => Splats::upload(device, queue, &self.layouts, image, self.settings.compression)
                 .map(|splats| splats.map(Uploaded::Splats)),
-            Content::Mesh(mesh) => Triangles::upload(device, queue, &self.layouts, &self.sampler, mesh)
+            Content::Mesh(mesh) => Triangles::upload(device, queue, &self.layouts, &self.meshes, mesh)
                 .map(|triangles| triangles.map(Uploaded::Triangles)),
             Content::Empty => Ok(None),
         };
@@ -319,5 +311,15 @@ impl Renderer {
         {
             distance.write(&self.device, encoder, &self.frame_group, targets, into);
         }
+    }
+}
+
+impl Uploads for Renderer {
+    fn upload(&mut self, rep: RepId, content: &Content) -> Result<u64, String> {
+        Renderer::upload(self, rep, content).map_err(|error| error.to_string())
+    }
+
+    fn remove(&mut self, rep: RepId) {
+        Renderer::remove(self, rep);
     }
 }

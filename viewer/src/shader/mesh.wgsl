@@ -9,6 +9,9 @@ struct Part {
 @group(2) @binding(1) var texels: texture_2d<f32>;
 @group(2) @binding(2) var filtered: sampler;
 
+// Samples a pixel, 1 or 4.
+override SAMPLES: u32 = 1u;
+
 struct Corner {
     @location(0) position: vec3f,
     @location(1) normal: vec3f,
@@ -41,14 +44,29 @@ fn vertex(corner: Corner) -> Surface {
 
 @fragment
 fn fragment(surface: Surface, @builtin(front_facing) is_front: bool) -> @location(0) vec4f {
+    // Before anything is discarded: they need the pixel's neighbours.
     let texel = textureSample(texels, filtered, surface.uv);
-    if texel.w < part.base.w {
-        discard;
-    }
+    let steepness = fwidth(texel.w);
+    let face = cross(dpdx(surface.at), dpdy(surface.at));
     if item.counts.x != 0u && is_hidden(surface.at) {
         discard;
     }
-    let length = max(length(surface.normal), 1e-6);
-    let normal = select(-surface.normal, surface.normal, is_front) / length;
-    return written(shaded(surface.tint * part.base.xyz * texel.xyz, normal));
+    var cover = 1.0;
+    if part.base.w > 0.0 {
+        // The edge of a hole over a pixel: opacity as a share of the samples, or all or nothing.
+        cover = clamp((texel.w - part.base.w) / max(steepness, 1e-4) + 0.5, 0.0, 1.0);
+        if (SAMPLES == 1u && texel.w < part.base.w) || cover <= 0.0 {
+            discard;
+        }
+    }
+    // Where the file has no normals, that of the face, towards the eye.
+    var normal = surface.normal;
+    if dot(normal, normal) < 0.25 {
+        normal = face * -sign(dot(face, surface.at));
+    } else if !is_front {
+        normal = -normal;
+    }
+    normal = normal / max(length(normal), 1e-12);
+    let light = written(shaded(surface.tint * part.base.xyz * texel.xyz, normal));
+    return vec4f(light.xyz, select(cover, 1.0, SAMPLES == 1u));
 }

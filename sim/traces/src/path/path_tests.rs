@@ -141,6 +141,8 @@ fn placement_on_a_planet_keeps_the_millimetre() {
 fn placements_are_parsed_and_refused() {
     assert_eq!("centre".parse::<Placement>().unwrap(), Placement::default());
     assert_eq!("geo".parse::<Placement>().unwrap(), Placement::Geo { height: None });
+    assert_eq!("world".parse::<Placement>().unwrap(), Placement::World);
+    assert!("world,height=2".parse::<Placement>().is_err());
     let text = "geo,height=3";
     assert_eq!(text.parse::<Placement>().unwrap().to_string(), text);
     let text = "centre,height=-7.5,yaw=10,scale=3";

@@ -18,6 +18,8 @@ use super::{CameraPath, Frame, PathError, Pose};
 /// How a path is put into a world.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Placement {
+    /// Not at all: its positions are the world's own coordinates, as where it was recorded in this world.
+    World,
     /// By geographic coordinates.
     Geo {
         /// Lifts the path until its lowest pose over the world is that many metres above the ground there.
@@ -43,6 +45,7 @@ impl Default for Placement {
 impl fmt::Display for Placement {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
+            Placement::World => f.write_str("world"),
             Placement::Geo { height: None } => f.write_str("geo"),
             Placement::Geo { height: Some(height) } => write!(f, "geo,height={height}"),
             Placement::Centre { height, yaw, scale } => write!(f, "centre,height={height},yaw={yaw},scale={scale}"),
@@ -53,14 +56,17 @@ impl fmt::Display for Placement {
 impl FromStr for Placement {
     type Err = PathError;
 
-    /// `geo`, which `,height=M` may follow, or `centre` followed by any of `,height=M`, `,yaw=DEGREES`, `,scale=X`.
+    /// `world`; `geo`, which `,height=M` may follow; or `centre` followed by any of `,height=M`, `,yaw=DEGREES`, `,scale=X`.
     fn from_str(text: &str) -> Result<Placement, PathError> {
         let fail = |message: String| PathError::Option { given: text.to_owned(), message };
+        if text == "world" {
+            return Ok(Placement::World);
+        }
         let mut parts = text.split(',');
         let is_geo = match parts.next() {
             Some("geo") => true,
             Some("centre") => false,
-            _ => return Err(fail("expected geo, or centre,height=2,yaw=0,scale=1".to_owned())),
+            _ => return Err(fail("expected world, geo, or centre,height=2,yaw=0,scale=1".to_owned())),
         };
         let (mut height, mut yaw, mut scale) = (None, 0.0, 1.0);
         for part in parts {
@@ -143,6 +149,12 @@ pub struct Site {
 /// [`super::COORDINATE_MAX`].
 pub fn place(path: &CameraPath, placement: &Placement, site: &Site) -> Result<CameraPath, PathError> {
     let whole = |message: String| PathError::Whole { name: path.name.clone(), message };
+    if *placement == Placement::World {
+        return match path.frame {
+            Frame::Local => Ok(path.clone()),
+            Frame::Earth(_) => Err(whole("is on the Earth; expected a placement `geo` or `centre`".to_owned())),
+        };
+    }
     let Placement::Centre { height, yaw, scale } = *placement else {
         return Err(whole("a world without geographic coordinates; expected a placement `centre`".to_owned()));
     };

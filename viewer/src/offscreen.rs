@@ -1,0 +1,147 @@
+//! Pictures of a world with a given set resident. Contents are decoded and uploaded when a picture first needs them, which
+//! on a virtual clock is the same as having had them.
+
+use crate::draw::choose::{ChooseSettings, choose};
+use crate::draw::list::DrawList;
+use crate::gpu::{Background, FrameCounts, Gpu, GpuError, GpuSettings, Picture, RenderSettings, Renderer};
+use crate::scene::content::Content;
+use crate::scene::decode::decode;
+use crate::scene::source::Source;
+use foresight_index::world::World;
+use foresight_scheduler::lod_tree::RepId;
+use foresight_scheduler::view::View;
+use rayon::prelude::*;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Of pictures: four bytes a pixel, red first.
+pub const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8UnormSrgb;
+
+/// Beyond so many bytes on the GPU what the last picture did not need goes.
+const GPU_BYTES_MAX: u64 = 2 << 30;
+
+/// Decoded at a time.
+const BATCH: usize = 16;
+
+/// Draws a world off screen.
+pub struct Offscreen<'a> {
+    world: &'a World,
+    source: &'a Source,
+    renderer: Renderer,
+    adapter: String,
+    /// What cannot be shown, and why.
+    broken: BTreeMap<RepId, String>,
+}
+
+impl<'a> Offscreen<'a> {
+    /// Opens an adapter.
+    ///
+    /// # Errors
+    /// None that would do.
+    pub fn new(
+        world: &'a World,
+        source: &'a Source,
+        gpu: &GpuSettings,
+        settings: RenderSettings,
+    ) -> Result<Offscreen<'a>, GpuError> {
+        let gpu = Gpu::open(gpu)?;
+        let renderer = Renderer::new(&gpu, settings, FORMAT);
+        Ok(Offscreen { world, source, renderer, adapter: gpu.name(), broken: BTreeMap::new() })
+    }
+
+    /// The default settings with the sky above this world.
+    pub fn settings(world: &World) -> RenderSettings {
+        let settings = RenderSettings::default();
+        let background = match settings.background {
+            Background::Sky { zenith, horizon, ground, .. } => {
+                Background::Sky { up: world.up, zenith, horizon, ground }
+            }
+            plain => plain,
+        };
+        RenderSettings { background, ..settings }
+    }
+
+    /// The adapter's name.
+    pub fn adapter(&self) -> &str {
+        &self.adapter
+    }
+
+    /// How things are drawn, to be changed for the pictures to come.
+    pub fn render_settings(&mut self) -> &mut RenderSettings {
+        self.renderer.settings()
+    }
+
+    /// What could not be decoded or uploaded so far, and why. Others were drawn in its place.
+    pub fn broken(&self) -> &BTreeMap<RepId, String> {
+        &self.broken
+    }
+
+    /// Draws what is chosen of `resident`, anew: nothing is held over from the picture before.
+    ///
+    /// # Errors
+    /// A device that is lost, a picture that it does not take.
+    pub fn picture(
+        &mut self,
+        view: &View,
+        resident: &BTreeSet<RepId>,
+        settings: &ChooseSettings,
+    ) -> Result<(Picture, FrameCounts), GpuError> {
+        let mut usable;
+        let mut resident = resident;
+        loop {
+            if !self.broken.is_empty() {
+                usable = resident.clone();
+                usable.retain(|rep| !self.broken.contains_key(rep));
+                resident = &usable;
+            }
+            let mut list = DrawList::default();
+            choose(self.world, resident, view, settings, &mut list);
+            let needed: BTreeSet<RepId> = list.items.iter().map(|item| item.rep).collect();
+            let missing: Vec<RepId> = needed.iter().copied().filter(|&rep| !self.renderer.contains(rep)).collect();
+            let before = self.broken.len();
+            for batch in missing.chunks(BATCH) {
+                self.take(batch)?;
+            }
+            // What is broken is missing in the list: another takes its place. At most as often as there are representations.
+            if self.broken.len() == before {
+                self.make_room(&needed);
+                return self.renderer.picture(view, &list);
+            }
+        }
+    }
+
+    fn take(&mut self, batch: &[RepId]) -> Result<(), GpuError> {
+        let (world, source) = (self.world, self.source);
+        let content = |rep| {
+            let bytes = source.bytes(world, rep).map_err(|error| error.to_string())?;
+            decode(world, source, rep, &bytes).map(|decoded| decoded.content).map_err(|error| error.to_string())
+        };
+        let contents: Vec<(RepId, Result<Content, String>)> =
+            batch.par_iter().map(|&rep| (rep, content(rep))).collect();
+        for (rep, content) in contents {
+            let uploaded = match content {
+                Ok(content) => self.renderer.upload(rep, &content),
+                Err(reason) => {
+                    self.broken.insert(rep, reason);
+                    continue;
+                }
+            };
+            match uploaded {
+                Ok(_) => {}
+                Err(lost @ GpuError::Lost(_)) => return Err(lost),
+                Err(error) => {
+                    self.broken.insert(rep, format!("{}: {error}", self.world.uri(rep)));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn make_room(&mut self, needed: &BTreeSet<RepId>) {
+        if self.renderer.gpu_bytes() > GPU_BYTES_MAX {
+            let reps = (0..self.world.tree.representations() as u32).map(RepId);
+            for rep in reps.filter(|rep| !needed.contains(rep)) {
+                self.renderer.remove(rep);
+            }
+        }
+    }
+}
