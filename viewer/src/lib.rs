@@ -25,6 +25,8 @@ pub mod headless;
 #[cfg(feature = "draw")]
 pub mod measure;
 pub mod modelled;
+#[cfg(feature = "window")]
+pub mod overlay;
 #[cfg(feature = "draw")]
 pub mod offscreen;
 pub mod residency;
@@ -33,3 +35,5 @@ pub mod scene;
 pub mod session;
 pub mod statistics;
 pub mod summary;
+#[cfg(feature = "window")]
+pub mod window;

@@ -60,6 +60,12 @@ pub enum Action {
     LightHigher,
     /// Antialiasing on or off.
     Samples,
+    /// Less is drawn where a frame takes too long, or not.
+    HoldTime,
+    /// Lists the keys.
+    Keys,
+    /// Opens the graphics device anew.
+    Device,
     /// Full screen or not.
     FullScreen,
     /// Closes the window.
@@ -105,13 +111,16 @@ pub const BINDINGS: &[Binding] = &[
     key(&["Space"], "Space", Action::Play, "play or stop the path"),
     key(&["KeyR"], "R", Action::Record, "record the path"),
     key(&["F12", "KeyP"], "F12, P", Action::Screenshot, "screenshot"),
-    key(&["F1"], "F1", Action::Overlay, "this overlay"),
+    key(&["F1"], "F1", Action::Overlay, "panels"),
+    key(&["KeyH"], "H", Action::Keys, "this list"),
     key(&["F2", "KeyC"], "F2, C", Action::FalseColour, "false colours"),
     key(&["F3", "KeyV"], "F3, V", Action::Shape, "shape of splats"),
     key(&["F4", "KeyL"], "F4, L", Action::Light, "light on or off"),
     key(&["Comma"], ",", Action::LightAround, "light around"),
     key(&["Period"], ".", Action::LightHigher, "light higher"),
     key(&["F6", "KeyM"], "F6, M", Action::Samples, "antialiasing"),
+    key(&["KeyT"], "T", Action::HoldTime, "hold the frame time"),
+    key(&["F9"], "F9", Action::Device, "open the graphics device anew"),
     key(&["F11", "KeyF"], "F11, F", Action::FullScreen, "full screen"),
     key(&["Escape"], "Esc", Action::Close, "close"),
 ];

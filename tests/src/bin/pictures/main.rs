@@ -7,6 +7,7 @@ mod fading;
 mod flights;
 mod quality;
 mod rank;
+mod resident;
 mod streamed;
 mod street;
 mod worlds;
@@ -21,7 +22,7 @@ use std::process::ExitCode;
 /// Measures what the viewer draws
 #[derive(Debug, Parser)]
 #[command(
-    after_help = "Examples:\n  pictures quality --out out\n  pictures streamed --small\n  pictures directions --worlds built --out out"
+    after_help = "Examples:\n  pictures quality --out out\n  pictures streamed --small\n  pictures resident --sun --out out\n  pictures directions --worlds built --out out"
 )]
 struct Cli {
     #[command(subcommand)]
@@ -77,6 +78,18 @@ enum Figure {
     Controller,
     /// Popping: the largest change between successive frames of a slow walk, with and without fading (HIBR 5.3)
     Fading,
+    /// Everything resident, three directions a cell, against the input's surfaces drawn as triangles
+    Resident {
+        /// Pictures a second; divides 60
+        #[arg(long, default_value_t = 1, value_name = "N", value_parser = rate)]
+        rate: u64,
+        /// With the sun from the side, so that normals are seen; without, colours are as they are
+        #[arg(long)]
+        sun: bool,
+        /// Only flights whose names hold this
+        #[arg(long, value_name = "TEXT")]
+        only: Option<String>,
+    },
     /// 2, 3 and 5 directions drawn of 5 and of 9 (HIBR Figure 5)
     Directions {
         /// Pictures a second; divides 60
@@ -182,6 +195,10 @@ fn measured(cli: &Cli, folder: &Path) -> Result<Findings, Fault> {
         Figure::Culled => culled::findings(&culled::flights(folder, cli.small)?),
         Figure::Controller => controller::findings(&street::open(folder, cli.small)?, cli.small),
         Figure::Fading => fading::findings(&street::open(folder, cli.small)?, cli.small),
+        Figure::Resident { rate, sun, only } => {
+            let scenes = resident::scenes(folder, cli.small, only.as_deref(), size(cli.small))?;
+            resident::findings(&scenes, *rate, *sun)
+        }
         Figure::Directions { rate } => directions::findings(&directed_scenes(folder, cli.small)?, *rate),
     }
 }
