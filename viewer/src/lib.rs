@@ -25,10 +25,10 @@ pub mod headless;
 #[cfg(feature = "draw")]
 pub mod measure;
 pub mod modelled;
-#[cfg(feature = "window")]
-pub mod overlay;
 #[cfg(feature = "draw")]
 pub mod offscreen;
+#[cfg(feature = "window")]
+pub mod overlay;
 pub mod residency;
 #[cfg(feature = "draw")]
 pub mod scene;

@@ -7,7 +7,7 @@ mod no_draw;
 #[cfg(feature = "window")]
 mod windowed;
 
-use anyhow::{Context, bail};
+use anyhow::Context;
 use arguments::{Cli, Way};
 use clap::Parser;
 use std::process::ExitCode;
@@ -58,7 +58,7 @@ fn headless(cli: &Cli) -> anyhow::Result<bool> {
 
 #[cfg(not(feature = "draw"))]
 fn headless(cli: &Cli) -> anyhow::Result<bool> {
-    bail!(
+    anyhow::bail!(
         "this build draws nothing: --frames {:?} needs its feature `draw`; expected --no-draw",
         cli.headless_args.frames
     )
@@ -72,7 +72,7 @@ fn window(cli: &Cli) -> anyhow::Result<bool> {
 #[cfg(not(feature = "window"))]
 fn window(cli: &Cli) -> anyhow::Result<bool> {
     let others = if cfg!(feature = "draw") { "--headless or --no-draw" } else { "--no-draw" };
-    bail!(
+    anyhow::bail!(
         "this build opens no window: --controls {:?} needs its feature `window`; expected {others}",
         cli.window_args.controls
     )

@@ -43,12 +43,15 @@ pub fn show(context: &Context, facts: &Facts, look: &mut Look) {
         |ui| {
             ui.set_max_width(240.0);
             settings(ui, look);
-            if look.keys {
-                ui.separator();
-                keys(ui);
-            }
         },
     );
+    if look.keys {
+        Window::new("keys")
+            .frame(frame)
+            .anchor(Align2::CENTER_CENTER, vec2(0.0, 40.0))
+            .resizable(false)
+            .show(context, keys);
+    }
 }
 
 fn figures(ui: &mut Ui, facts: &Facts) {
@@ -142,7 +145,7 @@ fn fetching(ui: &mut Ui, facts: &Facts) {
         ui.label(format!("{} wait to be decoded or uploaded", facts.pending));
     }
     if let Some(failure) = status.failure.as_ref().filter(|_| status.failed > 0) {
-        ui.colored_label(WARNING, format!("{} failed, the latest: {failure}", status.failed));
+        ui.colored_label(WARNING, format!("{} failed", status.failed)).on_hover_text(failure);
     }
 }
 
@@ -179,10 +182,13 @@ fn settings(ui: &mut Ui, look: &mut Look) {
 }
 
 fn keys(ui: &mut Ui) {
-    Grid::new("keys").num_columns(2).spacing([10.0, 0.0]).show(ui, |ui| {
-        for binding in BINDINGS {
-            ui.label(RichText::new(binding.label).small().strong());
-            ui.label(RichText::new(binding.what).small());
+    let rows = BINDINGS.len().div_ceil(2);
+    Grid::new("keys").num_columns(4).spacing([10.0, 0.0]).show(ui, |ui| {
+        for row in 0..rows {
+            for binding in [BINDINGS.get(row), BINDINGS.get(row + rows)].into_iter().flatten() {
+                ui.label(RichText::new(binding.label).small().strong());
+                ui.label(RichText::new(binding.what).small());
+            }
             ui.end_row();
         }
     });

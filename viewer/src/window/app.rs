@@ -221,7 +221,7 @@ impl App<'_> {
                 window.set_fullscreen(full);
             }
             Action::Device => {
-                if let Some(screen) = &self.screen {
+                if let Some(screen) = &mut self.screen {
                     screen.give_up();
                 }
             }

@@ -11,6 +11,9 @@ use winit::window::Window;
 /// Most pixels of a surface: images of it, of its depths and of its distances take about 1 GiB. More is cut off.
 const PIXELS_MAX: u64 = 1 << 25;
 
+/// Frames in a row for which a surface may have nothing.
+const FAILURES_MAX: u32 = 20;
+
 /// What egui paints in a frame.
 pub(super) struct Painted {
     pub(super) textures: egui::TexturesDelta,
@@ -37,6 +40,9 @@ pub(super) struct Screen {
     /// As the window is.
     wanted: [u32; 2],
     is_configured: bool,
+    /// Frames in a row for which the surface had nothing.
+    failures: u32,
+    is_given_up: bool,
 }
 
 /// As large as an adapter allows: each side at most `side`, and not more than [`PIXELS_MAX`] in all, which the longer side gives
@@ -107,12 +113,18 @@ impl Screen {
 
     /// Why the device is lost, if it is.
     pub(super) fn lost(&self) -> Option<String> {
-        self.gpu.lost()
+        if self.is_given_up {
+            return Some("it was given up".to_owned());
+        }
+        // What has happened to the device is told when it is asked about its work.
+        let asked = self.gpu.device.poll(wgpu::PollType::Poll);
+        self.gpu.lost().or_else(|| asked.err().map(|error| error.to_string()))
     }
 
     /// Gives the device up: from then on it is lost.
-    pub(super) fn give_up(&self) {
+    pub(super) fn give_up(&mut self) {
         self.gpu.device.destroy();
+        self.is_given_up = true;
     }
 
     /// The window has another size. Without pixels nothing is drawn.
@@ -187,10 +199,15 @@ impl Screen {
             }
             Current::Outdated | Current::Lost | Current::Validation => {
                 self.is_configured = false;
+                self.failures += 1;
+                if self.failures > FAILURES_MAX && self.limited().is_none() {
+                    return Err(GpuError::Lost("its surface gives no picture".to_owned()));
+                }
                 return Ok(Presented::Hidden);
             }
             Current::Timeout | Current::Occluded => return Ok(Presented::Hidden),
         };
+        self.failures = 0;
         let target = texture.texture.create_view(&wgpu::TextureViewDescriptor::default());
         let counts = self.renderer.draw(view, list, &target, size)?;
         let mut encoder =
