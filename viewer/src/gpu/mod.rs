@@ -3,6 +3,7 @@
 //! [`Gpu`] is an adapter and its device; a [`Renderer`] keeps what is uploaded and draws a
 //! [`DrawList`](crate::draw::list::DrawList). World positions are f64 up to [`relative`], the one place that narrows them.
 
+mod compress;
 pub mod device;
 mod distance;
 mod item;
@@ -22,4 +23,4 @@ pub use occlusion::OcclusionCounts;
 pub use picture::Picture;
 pub use renderer::{FrameCounts, Renderer};
 pub use reproject::{FadeSettings, Reprojection};
-pub use settings::{Background, Light, RenderSettings, SplatShape};
+pub use settings::{Background, Compression, Light, RenderSettings, SplatShape};
