@@ -3,6 +3,7 @@
 //! [`Gpu`] is an adapter and its device; a [`Renderer`] keeps what is uploaded and draws a
 //! [`DrawList`](crate::draw::list::DrawList). World positions are f64 up to [`relative`], the one place that narrows them.
 
+mod compress;
 pub mod device;
 mod distance;
 mod item;
@@ -18,4 +19,4 @@ mod targets;
 pub use device::{Gpu, GpuError, GpuSettings};
 pub use picture::Picture;
 pub use renderer::{FrameCounts, Renderer};
-pub use settings::{Background, Light, RenderSettings, SplatShape};
+pub use settings::{Background, Compression, Light, RenderSettings, SplatShape};
