@@ -104,6 +104,22 @@ impl Splats {
         Ok(Some(Splats { lattice, group, tile_bounds, tile_points, bytes }))
     }
 
+    /// Samples in the tiles of a mask.
+    pub(crate) fn points(&self, mask: u16) -> u64 {
+        (0..16).filter(|tile| mask >> tile & 1 == 1).map(|tile| u64::from(self.tile_points[tile])).sum()
+    }
+
+    /// A tile's draws as an indirect draw takes them.
+    pub(crate) fn arguments(&self, tile: usize) -> impl Iterator<Item = [u32; 5]> + use<> {
+        let [columns, rows] = self.lattice.tile();
+        let area = columns * rows;
+        let first = tile as u32 * area;
+        (0..area.div_ceil(INDEXED_PIXELS)).map(move |part| {
+            let start = part * INDEXED_PIXELS;
+            [6 * (area - start).min(INDEXED_PIXELS), 1, 0, 4 * (first + start), 0]
+        })
+    }
+
     /// Draws the tiles of a mask that show something, and counts points and draws. Neighbours in the order of tiles are
     /// one range.
     pub(crate) fn draw(&self, pass: &mut wgpu::RenderPass<'_>, mask: u16) -> [u64; 2] {

@@ -112,7 +112,7 @@ fn waves() -> [SplatImage; 2] {
         let (height, normal) = if hash(k + 0.5) < 0.3 {
             (6.0 + 5.0 * hash(k), DVec3::new(hash(k + 1.0) - 0.5, hash(k + 2.0) - 0.5, 0.3))
         } else if at.x > 6.0 {
-            (3.0, DVec3::new(0.5, 0.0, 0.866))
+            (3.0, DVec3::new(0.65, 0.0, 0.76))
         } else {
             (2.0 * libm::sin(at.x) + 2.0, DVec3::new(-2.0 * libm::cos(at.x), 0.0, 1.0))
         };

@@ -27,9 +27,19 @@ fn median(mut values: Vec<f64>) -> f64 {
 pub(crate) fn findings(scenes: &[Scene]) -> Result<Findings, Fault> {
     let gpu = Gpu::open(&GpuSettings::default()).map_err(|error| Fault::new("GPU", error))?;
     let columns = [
-        "scene", "textures", "samples", "splats", "GPU, MB", "upload, ms", "picture, ms", "ms per million", "PSNR, dB", "SSIM",
+        "scene",
+        "textures",
+        "samples",
+        "splats",
+        "GPU, MB",
+        "upload, ms",
+        "picture, ms",
+        "ms per million",
+        "PSNR, dB",
+        "SSIM",
     ];
-    let title = format!("Orthoviews alone, median of {REPEATS} pictures, likeness to uncompressed ones, on {}", gpu.name());
+    let title =
+        format!("Orthoviews alone, median of {REPEATS} pictures, likeness to uncompressed ones, on {}", gpu.name());
     let mut table = Table::new(title, &columns);
     for scene in scenes {
         let fault = |why: String| Fault::new(&scene.name, why);
@@ -41,7 +51,8 @@ pub(crate) fn findings(scenes: &[Scene]) -> Result<Findings, Fault> {
         let mut contents = Vec::new();
         for item in &drawn.items {
             let bytes = scene.source.bytes(&scene.world, item.rep).map_err(|error| fault(error.to_string()))?;
-            let decoded = decode(&scene.world, &scene.source, item.rep, &bytes).map_err(|error| fault(error.to_string()))?;
+            let decoded =
+                decode(&scene.world, &scene.source, item.rep, &bytes).map_err(|error| fault(error.to_string()))?;
             if matches!(decoded.content, Content::Splats(_)) {
                 contents.push((item.rep, decoded.content));
             }

@@ -1,11 +1,15 @@
 //! Measures what the viewer draws, beside the papers' figures and the scheduler's predictions.
 
+mod controller;
+mod culled;
 mod directions;
+mod fading;
 mod flights;
 mod quality;
 mod rank;
 mod resident;
 mod streamed;
+mod street;
 mod worlds;
 
 use clap::{Parser, Subcommand};
@@ -68,6 +72,12 @@ enum Figure {
         #[arg(long, value_name = "TEXT")]
         only: Option<String>,
     },
+    /// Points in memory, in view and after occlusion culling along paths (HIBR Figure 10), and what that culling gains
+    Culled,
+    /// A target frame time held while a city is entered: p90 from 60 frames after (NVE 4.5, 4.6)
+    Controller,
+    /// Popping: the largest change between successive frames of a slow walk, with and without fading (HIBR 5.3)
+    Fading,
     /// Everything resident, three directions a cell, against the input's surfaces drawn as triangles
     Resident {
         /// Pictures a second; divides 60
@@ -182,6 +192,9 @@ fn measured(cli: &Cli, folder: &Path) -> Result<Findings, Fault> {
             );
             streamed::findings(&scenes, *rate, MEMORY)
         }
+        Figure::Culled => culled::findings(&culled::flights(folder, cli.small)?),
+        Figure::Controller => controller::findings(&street::open(folder, cli.small)?, cli.small),
+        Figure::Fading => fading::findings(&street::open(folder, cli.small)?, cli.small),
         Figure::Resident { rate, sun, only } => {
             let scenes = resident::scenes(folder, cli.small, only.as_deref(), size(cli.small))?;
             resident::findings(&scenes, *rate, *sun)

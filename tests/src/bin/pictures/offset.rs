@@ -42,12 +42,7 @@ fn moved(content: &Content) -> Content {
 }
 
 /// The picture here and there.
-fn pictures(
-    gpu: &Gpu,
-    contents: &[(RepId, Content)],
-    drawn: &DrawList,
-    view: &View,
-) -> Result<[Picture; 2], Fault> {
+fn pictures(gpu: &Gpu, contents: &[(RepId, Content)], drawn: &DrawList, view: &View) -> Result<[Picture; 2], Fault> {
     let fault = |error| Fault::new("a picture", error);
     let mut renderer = Renderer::new(gpu, RenderSettings::default(), FORMAT);
     for (rep, content) in contents {

@@ -60,7 +60,8 @@ pub(crate) fn triangles() -> Vec<Triangle> {
     for row in 0..23 {
         for brick in 0..18 {
             let shift = if row % 2 == 0 { 0.0 } else { 0.3 };
-            let corner = DVec3::new(left + 0.05 + shift + 0.6 * f64::from(brick), front - 0.02, 0.25 + 0.3 * f64::from(row));
+            let corner =
+                DVec3::new(left + 0.05 + shift + 0.6 * f64::from(brick), front - 0.02, 0.25 + 0.3 * f64::from(row));
             let colour = numbers.tinted([164, 84, 62], 0.25);
             quad(&mut out, corner, [0.54 * DVec3::X, 0.24 * DVec3::Z], colour, false);
         }
@@ -75,7 +76,8 @@ pub(crate) fn triangles() -> Vec<Triangle> {
         quad(&mut out, a, [b - a, 4.2 * DVec3::Z], numbers.tinted([92, 66, 44], 0.2), false);
     }
     for _ in 0..7000 {
-        let mut unit = || DVec3::new(numbers.between(-1.0, 1.0), numbers.between(-1.0, 1.0), numbers.between(-1.0, 1.0));
+        let mut unit =
+            || DVec3::new(numbers.between(-1.0, 1.0), numbers.between(-1.0, 1.0), numbers.between(-1.0, 1.0));
         let (place, turn) = (unit(), unit());
         if place.length_squared() > 1.0 {
             continue;
