@@ -21,6 +21,9 @@ const PRESENT = 0x8000u;
 // of what stands upright would be infinitely long.
 const SLOPE_MAX = 4.0;
 
+// Pixels that a disc falls back at one pixel from its middle.
+const BULGE = 0.5;
+
 struct Splat {
     @builtin(position) position: vec4f,
     // Within the disc where shorter than 1.
@@ -28,6 +31,7 @@ struct Splat {
     @location(1) @interpolate(flat) light: vec3f,
     // Relative to the eye.
     @location(2) at: vec3f,
+    @location(3) @interpolate(flat) centre: vec3f,
 }
 
 // The unit vector of two bytes on the octahedron; bytes of 128 are 0.
@@ -102,6 +106,7 @@ fn vertex(@builtin(vertex_index) index: u32) -> Splat {
     }
     let corner = vec2f(f32(index & 1u), f32((index >> 1u) & 1u)) * 2.0 - 1.0;
     splat.disc = corner;
+    splat.centre = centre;
     splat.at = centre + (u * corner.x + v * corner.y) * (radius * side);
     splat.position = frame.clip_from_relative * vec4f(splat.at, 1.0);
     splat.light = shaded(textureLoad(colours, pixel, 0).xyz, normal);
@@ -121,6 +126,7 @@ fn is_hidden_around(at: vec3f, reach: f32) -> bool {
 struct Written {
     @location(0) colour: vec4f,
     @builtin(sample_mask) mask: u32,
+    @builtin(frag_depth) depth: f32,
 }
 
 // The standard places of four samples, from the pixel's middle.
@@ -148,6 +154,10 @@ fn fragment(splat: Splat) -> Written {
     if item.counts.x != 0u && is_hidden(splat.at) {
         discard;
     }
+    // Farther back by the square of the distance from the middle: where discs overlap, the nearest sample is shown.
+    let aside = splat.at - splat.centre;
+    let back = BULGE * dot(aside, aside) / item.origin.w;
+    out.depth = frame.forward.w / (1.0 / splat.position.w + back);
     out.colour = written(splat.light);
     return out;
 }

@@ -40,7 +40,7 @@ fn a_plate_covers_its_pixels_without_holes_from_many_sides() {
                         let context =
                             format!("{} tilted {tilt}°, seen at {angle}°, pixel {column}, {row}", direction.name());
                         assert!(found.is_finite(), "a hole: {context}");
-                        assert!((f64::from(found) - distance).abs() < 0.1, "{found} m for {distance}: {context}");
+                        assert!((f64::from(found) - distance).abs() < 0.15, "{found} m for {distance}: {context}");
                         assert_eq!(picture.rgba[4 * index..4 * index + 4], [200, 100, 50, 255]);
                         checked += 1;
                     } else if plate.hit(view.position, along, -margin).is_none() {
@@ -85,7 +85,8 @@ fn tiles_make_up_the_whole_and_lie_in_their_boxes() {
             nearest[index] = nearest[index].min(distance);
             if distance.is_finite() {
                 let at = view.position + f64::from(distance) * ray(&view, index as u32 % 120, index as u32 / 120);
-                let (low, high) = (bounds[tile].min - pixel, bounds[tile].max + pixel);
+                // A disc reaches beyond its pixel, and falls back towards its rim.
+                let (low, high) = (bounds[tile].min - 2.0 * pixel, bounds[tile].max + 2.0 * pixel);
                 assert!(at.cmpge(low).all() && at.cmple(high).all(), "{at} of tile {tile} in {:?}", bounds[tile]);
             }
         }
