@@ -243,8 +243,7 @@ impl Occlusion {
                 self.arguments.extend(splats.arguments(tile));
             }
             let bounds = &splats.tile_bounds[tile];
-            let reach = splats.lattice.reach();
-            let [low, high] = [bounds.min - reach, bounds.max + reach].map(|corner| eye.relative(corner));
+            let [low, high] = [bounds.min, bounds.max].map(|corner| eye.relative(corner));
             let draws = self.arguments.len() as u32 - first;
             self.records.push(TileRecord { low: low.to_array(), first, high: high.to_array(), draws });
             let points = splats.tile_points[tile];

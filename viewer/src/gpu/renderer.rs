@@ -11,8 +11,10 @@ use super::settings::RenderSettings;
 use super::splats::{Splats, shared_indices};
 use super::targets::{Targets, fitting};
 use crate::draw::list::DrawList;
+use crate::draw::tiles::tiles_in_view;
 use crate::scene::content::Content;
 use crate::scene::resident::Uploads;
+use foresight_scheduler::benefit::frustum::Frustum;
 use foresight_scheduler::lod_tree::{Aabb, RepId};
 use foresight_scheduler::view::View;
 use std::collections::BTreeMap;
@@ -23,7 +25,7 @@ const ITEMS_FIRST: usize = 256;
 /// What a frame was drawn with.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FrameCounts {
-    /// Samples of orthoviews, those that turned out to be hidden too ([`Renderer::occlusion`]).
+    /// Samples of orthoviews in tiles that the view meets, those that turned out to be hidden too ([`Renderer::occlusion`]).
     pub points: u64,
     /// Triangles of meshes.
     pub triangles: u64,
@@ -187,7 +189,7 @@ impl Renderer {
         self.bytes
     }
 
-    /// Boxes around the samples of an orthoview's 4 × 4 tiles, row by row upwards, metres in the world; empty where a
+    /// Boxes around the splats of an orthoview's 4 × 4 tiles, row by row upwards, metres in the world; empty where a
     /// tile shows nothing. `None` for what is not uploaded, or no orthoview.
     pub fn tile_bounds(&self, rep: RepId) -> Option<&[Aabb; 16]> {
         match self.uploaded.get(&rep)? {
@@ -253,6 +255,7 @@ impl Renderer {
             self.pipelines.insert(samples, (pipelines, distance));
         }
         let eye = Eye::new(view, size, self.settings.near);
+        let frustum = Frustum::new(&View { viewport: size, ..*view });
         let uniform = FrameUniform::new(&eye, &self.settings, size, self.format.is_srgb());
         self.queue.write_buffer(&self.frame, 0, bytemuck::bytes_of(&uniform));
         let drawn: Vec<_> = list.items.iter().filter_map(|item| Some((item, self.uploaded.get(&item.rep)?))).collect();
@@ -291,11 +294,12 @@ impl Renderer {
             pass.set_bind_group(1, &self.items_group, &[offset]);
             match uploaded {
                 Uploaded::Splats(splats) => {
-                    let mut tiles = item.tiles;
+                    let seen = tiles_in_view(&frustum, item, &splats.tile_bounds);
+                    let mut tiles = seen;
                     if let Some(occlusion) = &mut self.occlusion {
                         let rest;
-                        (tiles, rest) = occlusion.add(item.rep, item.tiles, splats, &eye);
-                        counts.points += splats.points(item.tiles & !tiles);
+                        (tiles, rest) = occlusion.add(item.rep, seen, splats, &eye);
+                        counts.points += splats.points(seen & !tiles);
                         rests.push((offset, splats, rest));
                     }
                     pass.set_pipeline(&pipelines.splats);

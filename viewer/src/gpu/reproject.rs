@@ -19,6 +19,9 @@ const CODE: &str = include_str!("../shader/reproject.wgsl");
 /// What is kept of frames: more digits than the picture, or a fade would stop short of its end.
 const KEPT_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
 
+/// Pictures with more do not fade: what is kept takes 28 bytes a pixel.
+const PIXELS_MAX: u64 = 1 << 24;
+
 /// How frames fade.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FadeSettings {
@@ -214,13 +217,14 @@ impl Reprojection {
         size: [u32; 2],
     ) -> Result<FrameCounts, GpuError> {
         let settings = self.settings;
-        let fades = settings.time_s > 0.0 && settings.time_s.is_finite();
+        let pixels = u64::from(size[0]) * u64::from(size[1]);
+        let fades = settings.time_s > 0.0 && settings.time_s.is_finite() && pixels <= PIXELS_MAX;
         super::targets::fitting(&renderer.device.limits(), size, 1)?;
         if !fades {
             self.frames = None;
             return renderer.encode(encoder, view, list, target, size);
         }
-        if !self.frames.as_ref().is_some_and(|frames| frames.size == size) {
+        if self.frames.as_ref().is_none_or(|frames| frames.size != size) {
             self.frames = Some(Frames::new(&renderer.device, renderer.format, size));
         }
         let Some(frames) = &mut self.frames else {

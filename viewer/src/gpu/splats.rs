@@ -31,7 +31,7 @@ pub(crate) fn shared_indices(device: &wgpu::Device) -> wgpu::Buffer {
 pub(crate) struct Splats {
     pub(crate) lattice: Lattice,
     pub(crate) group: wgpu::BindGroup,
-    /// Boxes around the samples of each tile, row by row upwards; empty where a tile shows nothing.
+    /// Boxes around the splats of each tile, row by row upwards; empty where a tile shows nothing.
     pub(crate) tile_bounds: [Aabb; 16],
     /// Samples in each tile that show something.
     pub(crate) tile_points: [u32; 16],
@@ -100,7 +100,10 @@ impl Splats {
             entries: &[entry(0, &colours), entry(1, &shapes), entry(2, &normals)],
         });
         let lattice = Lattice::new(image);
-        let (tile_bounds, tile_points) = tiles(image, lattice.tile());
+        let (mut tile_bounds, tile_points) = tiles(image, lattice.tile());
+        for bounds in tile_bounds.iter_mut().filter(|bounds| !bounds.is_empty()) {
+            *bounds = Aabb { min: bounds.min - lattice.reach(), max: bounds.max + lattice.reach() };
+        }
         Ok(Some(Splats { lattice, group, tile_bounds, tile_points, bytes }))
     }
 
@@ -150,7 +153,7 @@ impl Splats {
     }
 }
 
-/// Box around the samples of each tile, and how many there are. A sample reaches half a pixel along the image's axes.
+/// Box around the samples of each tile, and how many there are. A sample is half a pixel along the image's axes.
 fn tiles(image: &SplatImage, tile: [u32; 2]) -> ([Aabb; 16], [u32; 16]) {
     let step = image.range / 1023.0;
     // Of each tile: least and greatest column, row and code of depth.

@@ -297,7 +297,7 @@ impl<'a> Flyer<'a> {
         self.facts.substitutes = chosen.substitutes;
         self.facts.items = self.list.items.len();
         let painted = self.paint(egui, window);
-        let presented = screen.draw(&self.view, &self.list, painted)?;
+        let presented = screen.draw(&self.view, &self.list, dt, painted)?;
         if std::mem::take(&mut self.wants_picture) {
             self.picture(screen)?;
         }

@@ -1,7 +1,9 @@
 //! The window's surface, the device that draws into it, and what is painted over the picture.
 
 use crate::draw::list::DrawList;
-use crate::gpu::{FrameCounts, Gpu, GpuError, GpuSettings, Picture, RenderSettings, Renderer};
+use crate::gpu::{
+    FadeSettings, FrameCounts, Gpu, GpuError, GpuSettings, Picture, RenderSettings, Renderer, Reprojection,
+};
 use egui_wgpu::ScreenDescriptor;
 use foresight_scheduler::view::View;
 use std::sync::Arc;
@@ -35,6 +37,7 @@ pub(super) struct Screen {
     gpu: Gpu,
     surface: wgpu::Surface<'static>,
     pub(super) renderer: Renderer,
+    fade: Reprojection,
     painter: egui_wgpu::Renderer,
     config: wgpu::SurfaceConfiguration,
     /// As the window is.
@@ -95,11 +98,13 @@ impl Screen {
         }
         config.present_mode = wgpu::PresentMode::AutoVsync;
         let renderer = Renderer::new(&gpu, settings, config.format);
+        let fade = Reprojection::new(&renderer, FadeSettings::default());
         let painter = egui_wgpu::Renderer::new(&gpu.device, config.format, egui_wgpu::RendererOptions::default());
         let mut screen = Screen {
             gpu,
             surface,
             renderer,
+            fade,
             painter,
             config,
             wanted: [0, 0],
@@ -162,11 +167,20 @@ impl Screen {
         })
     }
 
-    /// Draws a frame and what is painted over it.
+    /// Draws a frame, `elapsed_s` seconds after the one before if there was one, and what is painted over it.
     ///
     /// # Errors
     /// A lost device, and what it refuses.
-    pub(super) fn draw(&mut self, view: &View, list: &DrawList, painted: Painted) -> Result<Presented, GpuError> {
+    pub(super) fn draw(
+        &mut self,
+        view: &View,
+        list: &DrawList,
+        elapsed_s: Option<f64>,
+        painted: Painted,
+    ) -> Result<Presented, GpuError> {
+        if elapsed_s.is_none() {
+            self.fade.forget();
+        }
         let Painted { mut textures, shapes, pixels_per_point } = painted;
         let (device, queue) = (&self.gpu.device, &self.gpu.queue);
         for (id, deltas) in textures.set.drain() {
@@ -174,7 +188,7 @@ impl Screen {
                 self.painter.update_texture(device, queue, id, delta);
             }
         }
-        let drawn = self.present(view, list, &shapes, pixels_per_point);
+        let drawn = self.present(view, list, elapsed_s.unwrap_or(0.0), &shapes, pixels_per_point);
         for id in textures.free.drain() {
             self.painter.free_texture(&id);
         }
@@ -185,6 +199,7 @@ impl Screen {
         &mut self,
         view: &View,
         list: &DrawList,
+        elapsed_s: f64,
         shapes: &[egui::ClippedPrimitive],
         pixels_per_point: f32,
     ) -> Result<Presented, GpuError> {
@@ -219,7 +234,7 @@ impl Screen {
         };
         self.failures = 0;
         let target = texture.texture.create_view(&wgpu::TextureViewDescriptor::default());
-        let counts = self.renderer.draw(view, list, &target, size)?;
+        let counts = self.fade.draw(&mut self.renderer, view, list, elapsed_s, &target, size)?;
         let mut encoder =
             self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("overlay") });
         let descriptor = ScreenDescriptor { size_in_pixels: size, pixels_per_point };

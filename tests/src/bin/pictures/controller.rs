@@ -40,8 +40,7 @@ pub(crate) fn findings(scene: &Scene, small: bool) -> Result<Findings, Fault> {
         for view in &views {
             let bias = controller.as_ref().map_or(1.0, Controller::bias);
             let settings = ChooseSettings { bias, ..ChooseSettings::default() };
-            let seconds = drawn.choose(view, &resident, &settings)? + drawn.cull(view);
-            let seconds = seconds + drawn.draw(view)?.seconds;
+            let seconds = drawn.choose(view, &resident, &settings)? + drawn.draw(view)?.seconds;
             times.push([1e3 * seconds, bias]);
             if let Some(controller) = &mut controller {
                 controller.observe(seconds);

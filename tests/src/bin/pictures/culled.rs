@@ -101,8 +101,6 @@ pub(crate) fn findings(scenes: &[(Scene, Vec<View>)]) -> Result<Findings, Fault>
             frames.list = list;
             frames.choose(view, &resident, &settings)?;
             let in_view = frames.points() as f64;
-            frames.cull(view);
-            let in_tiles = frames.points() as f64;
             let mut took = [f64::INFINITY; 2];
             let mut pictures = Vec::new();
             // In turn, and the better of two: other work on the machine disturbs both alike.
@@ -123,7 +121,7 @@ pub(crate) fn findings(scenes: &[(Scene, Vec<View>)]) -> Result<Findings, Fault>
             along.differ += (0..pictures[0].distance.len())
                 .filter(|&at| pictures[0].rgba[4 * at..4 * at + 4] != pictures[1].rgba[4 * at..4 * at + 4])
                 .count();
-            along.points.push([memory, in_view, in_tiles, counts.points_drawn as f64].map(|n| n / 1e3));
+            along.points.push([memory, in_view, counts.points as f64, counts.points_drawn as f64].map(|n| n / 1e3));
             along.ms.push(took);
             if along.points.len() == 1 + views.len() / 2 {
                 let name = format!("culled-{}.png", scene.name.replace(|c: char| !c.is_ascii_alphanumeric(), "-"));

@@ -44,7 +44,6 @@ pub(crate) fn findings(scene: &Scene, small: bool) -> Result<Findings, Fault> {
             for (at, view) in views.iter().enumerate() {
                 let there = if at < swaps_at { &coarse } else { &resident };
                 frames.choose(view, there, &ChooseSettings::default())?;
-                frames.cull(view);
                 let drawn = fade.picture(frames.offscreen.renderer(), view, &frames.list, 1.0 / RATE);
                 let (picture, _) = drawn.map_err(|e| Fault::new("GPU", e))?;
                 changes.extend(before.as_ref().map(|before| change(before, &picture)));

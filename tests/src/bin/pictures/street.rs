@@ -8,7 +8,6 @@ use foresight_sim::stopwatch::Stopwatch;
 use foresight_tests::stored::Fault;
 use foresight_viewer::draw::choose::{ChooseSettings, choose};
 use foresight_viewer::draw::list::DrawList;
-use foresight_viewer::draw::tiles::cull_tiles;
 use foresight_viewer::gpu::Picture;
 use foresight_viewer::offscreen::Offscreen;
 use glam::{DQuat, DVec3};
@@ -67,7 +66,7 @@ impl<'a> Frames<'a> {
         Ok(Frames { scene, offscreen: scene.offscreen()?, list: DrawList::default() })
     }
 
-    /// Chooses, loads, and takes away the tiles that are out of view; seconds for all but the loading.
+    /// Chooses and loads; seconds for the choice.
     pub(crate) fn choose(
         &mut self,
         view: &View,
@@ -81,14 +80,6 @@ impl<'a> Frames<'a> {
         Ok(chosen as f64 * 1e-9)
     }
 
-    /// Takes away the tiles that are out of view.
-    pub(crate) fn cull(&mut self, view: &View) -> f64 {
-        let start = Stopwatch::start();
-        let renderer = self.offscreen.renderer();
-        cull_tiles(&mut self.list, view, |rep| renderer.tile_bounds(rep).copied());
-        start.nanos() as f64 * 1e-9
-    }
-
     /// Draws the list.
     pub(crate) fn draw(&mut self, view: &View) -> Result<Timed, Fault> {
         let start = Stopwatch::start();
@@ -98,12 +89,10 @@ impl<'a> Frames<'a> {
         Ok(Timed { picture, seconds })
     }
 
-    /// Samples in the list's tiles.
+    /// Samples of the list's orthoviews.
     pub(crate) fn points(&mut self) -> u64 {
         let renderer = self.offscreen.renderer();
-        let of = |tiles: u16, points: &[u32; 16]| -> u64 {
-            (0..16).filter(|tile| tiles >> tile & 1 == 1).map(|tile| u64::from(points[tile])).sum()
-        };
-        self.list.items.iter().filter_map(|item| Some(of(item.tiles, renderer.tile_points(item.rep)?))).sum()
+        let of = |points: &[u32; 16]| points.iter().map(|&points| u64::from(points)).sum::<u64>();
+        self.list.items.iter().filter_map(|item| renderer.tile_points(item.rep)).map(of).sum()
     }
 }

@@ -277,7 +277,7 @@ fn nothing_swaps_to_and_fro_and_no_swap_shows_a_sample_of_more_than_a_pixel() {
     // Away at 1 % a step, trembling by 0.3 % and by as much to the side.
     for step in 0..600 {
         let tremble = if step % 2 == 0 { 1.0 } else { -1.0 };
-        let away = 1.01f64.ln() * f64::from(step / 2);
+        let away = libm::log(1.01) * f64::from(step / 2);
         let z = 1024.0 + 300.0 * libm::exp(away) * (1.0 + 0.003 * tremble);
         let view = looking(DVec3::new(512.0 + 0.003 * z * tremble, 512.0, z));
         let before = nodes(&list);
