@@ -3,7 +3,7 @@
 
 use crate::draw::choose::{ChooseSettings, choose};
 use crate::draw::list::DrawList;
-use crate::gpu::{Background, FrameCounts, Gpu, GpuError, GpuSettings, Picture, RenderSettings, Renderer};
+use crate::gpu::{Background, FrameCounts, Gpu, GpuError, GpuSettings, Light, Picture, RenderSettings, Renderer};
 use crate::scene::content::Content;
 use crate::scene::decode::decode;
 use crate::scene::source::Source;
@@ -58,6 +58,13 @@ impl<'a> Offscreen<'a> {
             plain => plain,
         };
         RenderSettings { background, ..settings }
+    }
+
+    /// A sun that stands high over this world, to one side.
+    pub fn sun(world: &World) -> Light {
+        let (across, along) = world.up.any_orthonormal_pair();
+        let towards = (world.up + 0.6 * across + 0.35 * along).normalize_or(world.up);
+        Light::Sun { towards, ambient: 0.35 }
     }
 
     /// The adapter's name.
