@@ -116,6 +116,21 @@ impl<'a> Offscreen<'a> {
         }
     }
 
+    /// What draws, for frames of another kind than [`Offscreen::picture`].
+    pub fn renderer(&mut self) -> &mut Renderer {
+        &mut self.renderer
+    }
+
+    /// Decodes and uploads what of `reps` is not there yet.
+    ///
+    /// # Errors
+    /// A device that is lost.
+    pub fn load(&mut self, reps: impl IntoIterator<Item = RepId>) -> Result<(), GpuError> {
+        let known = |rep: &RepId| self.renderer.contains(*rep) || self.broken.contains_key(rep);
+        let missing: Vec<RepId> = reps.into_iter().filter(|rep| !known(rep)).collect();
+        missing.chunks(BATCH).try_for_each(|batch| self.take(batch))
+    }
+
     fn take(&mut self, batch: &[RepId]) -> Result<(), GpuError> {
         let (world, source) = (self.world, self.source);
         let content = |rep| {

@@ -108,8 +108,9 @@ fn check(mesh: &Mesh, limits: &wgpu::Limits) -> Result<(), GpuError> {
             return Err(GpuError::Content { what: "bytes of a texture", found: texture.texels.len() as u64, expected });
         }
         let most = limits.max_texture_dimension_2d.into();
-        if columns.max(rows) > most {
-            return Err(GpuError::TooLarge { what: "a side of a texture", found: columns.max(rows), most });
+        let found = texture.size[0].max(texture.size[1]).into();
+        if found > most {
+            return Err(GpuError::TooLarge { what: "a side of a texture", found, most });
         }
     }
     Ok(())

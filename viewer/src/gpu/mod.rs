@@ -3,19 +3,24 @@
 //! [`Gpu`] is an adapter and its device; a [`Renderer`] keeps what is uploaded and draws a
 //! [`DrawList`](crate::draw::list::DrawList). World positions are f64 up to [`relative`], the one place that narrows them.
 
+mod compress;
 pub mod device;
 mod distance;
 mod item;
 mod meshes;
+mod occlusion;
 mod picture;
 mod pipelines;
 pub mod relative;
 pub mod renderer;
+pub mod reproject;
 pub mod settings;
 mod splats;
 mod targets;
 
 pub use device::{Gpu, GpuError, GpuSettings};
+pub use occlusion::OcclusionCounts;
 pub use picture::Picture;
 pub use renderer::{FrameCounts, Renderer};
-pub use settings::{Background, Light, RenderSettings, SplatShape};
+pub use reproject::{FadeSettings, Reprojection};
+pub use settings::{Background, Compression, Light, RenderSettings, SplatShape};

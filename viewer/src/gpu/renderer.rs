@@ -4,6 +4,7 @@ use super::device::{Faults, Gpu, GpuError};
 use super::distance::Distance;
 use super::item::{FrameUniform, ItemUniform};
 use super::meshes::{self, Triangles};
+use super::occlusion::{self, Occlusion, OcclusionCounts};
 use super::pipelines::{Layouts, Pipelines};
 use super::relative::Eye;
 use super::settings::RenderSettings;
@@ -22,7 +23,7 @@ const ITEMS_FIRST: usize = 256;
 /// What a frame was drawn with.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FrameCounts {
-    /// Samples of orthoviews.
+    /// Samples of orthoviews, those that turned out to be hidden too ([`Renderer::occlusion`]).
     pub points: u64,
     /// Triangles of meshes.
     pub triangles: u64,
@@ -68,6 +69,9 @@ pub struct Renderer {
     /// Bytes from one item's uniforms to the next's.
     stride: usize,
     targets: Option<Targets>,
+    /// Whether the adapter can cull by occlusion at all.
+    can_cull: bool,
+    occlusion: Option<Occlusion>,
     uploaded: BTreeMap<RepId, Uploaded>,
     bytes: u64,
 }
@@ -124,6 +128,8 @@ impl Renderer {
             items_group,
             stride,
             targets: None,
+            can_cull: gpu.adapter.get_downlevel_capabilities().flags.contains(occlusion::NEEDS),
+            occlusion: None,
             uploaded: BTreeMap::new(),
             bytes: 0,
         }
@@ -145,9 +151,8 @@ impl Renderer {
         let memory = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let (device, queue) = (&self.device, &self.queue);
         let made = match content {
-            Content::Splats(image) => {
-                Splats::upload(device, queue, &self.layouts, image).map(|s| s.map(Uploaded::Splats))
-            }
+            Content::Splats(image) => Splats::upload(device, queue, &self.layouts, image, self.settings.compression)
+                .map(|splats| splats.map(Uploaded::Splats)),
             Content::Mesh(mesh) => Triangles::upload(device, queue, &self.layouts, &self.meshes, mesh)
                 .map(|triangles| triangles.map(Uploaded::Triangles)),
             Content::Empty => Ok(None),
@@ -195,6 +200,14 @@ impl Renderer {
             Uploaded::Splats(splats) => Some(&splats.tile_points),
             _ => None,
         }
+    }
+
+    /// What was drawn of the orthoviews of the last frame of which that is known; `None` without occlusion culling.
+    pub fn occlusion(&mut self) -> Option<OcclusionCounts> {
+        let occlusion = self.occlusion.as_mut()?;
+        drop(self.device.poll(wgpu::PollType::Poll));
+        occlusion.take_answers();
+        occlusion.counts()
     }
 
     /// Draws a list into a target of `size` pixels and of the renderer's format, the renderer's own depths beside it, and
@@ -259,36 +272,34 @@ impl Renderer {
         let (Some(targets), Some((pipelines, _))) = (&self.targets, self.pipelines.get(&samples)) else {
             return Ok(FrameCounts::default());
         };
-        let (view, resolve_target) = match &targets.colours {
-            Some(colours) => (colours, Some(target)),
-            None => (target, None),
-        };
-        let store = if resolve_target.is_some() { wgpu::StoreOp::Discard } else { wgpu::StoreOp::Store };
-        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-            label: Some("frame"),
-            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-                view,
-                depth_slice: None,
-                resolve_target,
-                ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::BLACK), store },
-            })],
-            depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
-                view: &targets.depth,
-                depth_ops: Some(wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: wgpu::StoreOp::Store }),
-                stencil_ops: None,
-            }),
-            ..Default::default()
-        });
+        if self.can_cull && self.settings.occlusion {
+            drop(self.device.poll(wgpu::PollType::Poll));
+            let occlusion = self.occlusion.get_or_insert_with(|| Occlusion::new(&self.device));
+            occlusion.begin();
+        } else {
+            self.occlusion = None;
+        }
+        let mut pass = targets.pass(encoder, target, true, self.occlusion.is_none());
         pass.set_bind_group(0, &self.frame_group, &[]);
         let mut counts = FrameCounts::default();
+        // What is left of items after the test.
+        let mut rests = Vec::new();
         for (place, (item, uploaded)) in drawn.iter().enumerate() {
-            pass.set_bind_group(1, &self.items_group, &[(place * self.stride) as u32]);
+            let offset = (place * self.stride) as u32;
+            pass.set_bind_group(1, &self.items_group, &[offset]);
             match uploaded {
                 Uploaded::Splats(splats) => {
+                    let mut tiles = item.tiles;
+                    if let Some(occlusion) = &mut self.occlusion {
+                        let rest;
+                        (tiles, rest) = occlusion.add(item.rep, item.tiles, splats, &eye);
+                        counts.points += splats.points(item.tiles & !tiles);
+                        rests.push((offset, splats, rest));
+                    }
                     pass.set_pipeline(&pipelines.splats);
                     pass.set_bind_group(2, &splats.group, &[]);
                     pass.set_index_buffer(self.corners.slice(..), wgpu::IndexFormat::Uint32);
-                    let [points, draws] = splats.draw(&mut pass, item.tiles);
+                    let [points, draws] = splats.draw(&mut pass, tiles);
                     counts.points += points;
                     counts.draws += draws;
                 }
@@ -298,6 +309,19 @@ impl Renderer {
                     counts.draws += draws;
                 }
                 Uploaded::Empty => {}
+            }
+        }
+        if let Some(occlusion) = &mut self.occlusion {
+            drop(pass);
+            occlusion.test(&self.device, &self.queue, encoder, targets, &eye);
+            pass = targets.pass(encoder, target, false, true);
+            pass.set_bind_group(0, &self.frame_group, &[]);
+            pass.set_pipeline(&pipelines.splats);
+            pass.set_index_buffer(self.corners.slice(..), wgpu::IndexFormat::Uint32);
+            for (offset, splats, rest) in rests.into_iter().filter(|(_, _, rest)| !rest.is_empty()) {
+                pass.set_bind_group(1, &self.items_group, &[offset]);
+                pass.set_bind_group(2, &splats.group, &[]);
+                counts.draws += occlusion.draw_rest(&mut pass, rest);
             }
         }
         pass.set_pipeline(&pipelines.sky);

@@ -81,6 +81,32 @@ impl Default for Background {
     }
 }
 
+/// How orthoviews are kept on the GPU. Depths and links are kept as they are, 2 bytes a pixel.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Compression {
+    /// Colours in 4 bytes a pixel, normals in 2.
+    #[default]
+    None,
+    /// Colours in BC1 blocks, half a byte a pixel; normals in BC5 blocks, a byte.
+    Small,
+    /// Colours in BC7 blocks, a byte a pixel; normals in BC5 blocks, a byte.
+    Fine,
+}
+
+impl Compression {
+    /// All, from the largest to the smallest.
+    pub const ALL: [Compression; 3] = [Compression::None, Compression::Fine, Compression::Small];
+
+    /// Its name in tables and arguments.
+    pub fn name(self) -> &'static str {
+        match self {
+            Compression::None => "none",
+            Compression::Small => "small",
+            Compression::Fine => "fine",
+        }
+    }
+}
+
 /// How things are drawn.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RenderSettings {
@@ -94,8 +120,10 @@ pub struct RenderSettings {
     pub samples: u32,
     /// What is nearer to the camera's plane than this is not drawn, metres; more than 0.
     pub near: f64,
-    /// Whether what is uploaded from now on is kept in compressed blocks, where the adapter has them.
-    pub compress: bool,
+    /// Whether tiles of orthoviews that are hidden by others are left out, where the adapter can tell. It changes no picture.
+    pub occlusion: bool,
+    /// Of orthoviews uploaded from now on; without effect where the adapter has no such blocks.
+    pub compression: Compression,
 }
 
 impl Default for RenderSettings {
@@ -106,7 +134,8 @@ impl Default for RenderSettings {
             background: Background::default(),
             samples: 1,
             near: 0.1,
-            compress: false,
+            occlusion: true,
+            compression: Compression::default(),
         }
     }
 }

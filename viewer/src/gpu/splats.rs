@@ -1,10 +1,13 @@
 //! Orthoviews on the GPU: three textures, and what is known of their tiles.
 
+use super::compress::{Plane, colours, normals};
 use super::device::GpuError;
 use super::item::Lattice;
 use super::pipelines::Layouts;
+use super::settings::Compression;
 use crate::scene::content::SplatImage;
 use foresight_scheduler::lod_tree::Aabb;
+use std::borrow::Cow;
 use wgpu::util::DeviceExt;
 
 /// Pixels that the shared index buffer reaches: an image of 256 × 256 at once, larger ones in several draws.
@@ -60,34 +63,35 @@ impl Splats {
         queue: &wgpu::Queue,
         layouts: &Layouts,
         image: &SplatImage,
+        compression: Compression,
     ) -> Result<Option<Splats>, GpuError> {
         check(image, &device.limits())?;
         if image.shapes.is_empty() {
             return Ok(None);
         }
         let mut bytes = 0;
-        let mut plane = |label, format, data: &[u8], size: [u32; 2]| {
+        let mut texture = |label, plane: Plane<'_>| {
             let descriptor = wgpu::TextureDescriptor {
                 label: Some(label),
-                size: wgpu::Extent3d { width: size[0], height: size[1], depth_or_array_layers: 1 },
+                size: wgpu::Extent3d { width: plane.size[0], height: plane.size[1], depth_or_array_layers: 1 },
                 mip_level_count: 1,
                 sample_count: 1,
                 dimension: wgpu::TextureDimension::D2,
-                format,
+                format: plane.format,
                 usage: wgpu::TextureUsages::TEXTURE_BINDING,
                 view_formats: &[],
             };
-            bytes += data.len() as u64;
-            let texture =
-                device.create_texture_with_data(queue, &descriptor, wgpu::wgt::TextureDataOrder::LayerMajor, data);
+            bytes += plane.data.len() as u64;
+            let order = wgpu::wgt::TextureDataOrder::LayerMajor;
+            let texture = device.create_texture_with_data(queue, &descriptor, order, &plane.data);
             texture.create_view(&wgpu::TextureViewDescriptor::default())
         };
-        let colours = plane("colours", wgpu::TextureFormat::Rgba8UnormSrgb, &image.colours, image.size);
-        let shapes = plane("shapes", wgpu::TextureFormat::R16Uint, bytemuck::cast_slice(&image.shapes), image.size);
-        let normals = match image.normals.as_slice() {
-            [] => plane("no normals", wgpu::TextureFormat::Rg8Unorm, &[128, 128], [1, 1]),
-            normals => plane("normals", wgpu::TextureFormat::Rg8Unorm, normals, image.size),
-        };
+        let has_blocks = device.features().contains(wgpu::Features::TEXTURE_COMPRESSION_BC);
+        let compression = if has_blocks { compression } else { Compression::None };
+        let data = Cow::Borrowed(bytemuck::cast_slice(&image.shapes));
+        let colours = texture("colours", colours(image, compression));
+        let shapes = texture("shapes", Plane { format: wgpu::TextureFormat::R16Uint, size: image.size, data });
+        let normals = texture("normals", normals(image, compression));
         let entry =
             |binding, view| wgpu::BindGroupEntry { binding, resource: wgpu::BindingResource::TextureView(view) };
         let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
@@ -98,6 +102,22 @@ impl Splats {
         let lattice = Lattice::new(image);
         let (tile_bounds, tile_points) = tiles(image, lattice.tile());
         Ok(Some(Splats { lattice, group, tile_bounds, tile_points, bytes }))
+    }
+
+    /// Samples in the tiles of a mask.
+    pub(crate) fn points(&self, mask: u16) -> u64 {
+        (0..16).filter(|tile| mask >> tile & 1 == 1).map(|tile| u64::from(self.tile_points[tile])).sum()
+    }
+
+    /// A tile's draws as an indirect draw takes them.
+    pub(crate) fn arguments(&self, tile: usize) -> impl Iterator<Item = [u32; 5]> + use<> {
+        let [columns, rows] = self.lattice.tile();
+        let area = columns * rows;
+        let first = tile as u32 * area;
+        (0..area.div_ceil(INDEXED_PIXELS)).map(move |part| {
+            let start = part * INDEXED_PIXELS;
+            [6 * (area - start).min(INDEXED_PIXELS), 1, 0, 4 * (first + start), 0]
+        })
     }
 
     /// Draws the tiles of a mask that show something, and counts points and draws. Neighbours in the order of tiles are

@@ -5,7 +5,7 @@ use foresight_scheduler::lod_tree::{Aabb, RepId};
 use foresight_scheduler::view::View;
 use foresight_viewer::draw::list::{ALL_TILES, DrawList, Item};
 use foresight_viewer::gpu::{Background, Gpu, GpuSettings, RenderSettings, Renderer};
-use foresight_viewer::scene::content::SplatImage;
+use foresight_viewer::scene::content::{Mesh, Part, SplatImage, Vertex};
 use glam::{DMat3, DQuat, DVec3};
 
 /// The adapter; `None` where there is none, which the continuous integration does not accept.
@@ -20,9 +20,10 @@ pub(crate) fn gpu() -> Option<Gpu> {
     }
 }
 
-/// A renderer of pictures before pure blue.
+/// A renderer of pictures before pure blue, of all that is in the list.
 pub(crate) fn renderer(gpu: &Gpu) -> Renderer {
-    let settings = RenderSettings { background: Background::Plain([0, 0, 255]), ..RenderSettings::default() };
+    let settings =
+        RenderSettings { background: Background::Plain([0, 0, 255]), occlusion: false, ..RenderSettings::default() };
     Renderer::new(gpu, settings, wgpu::TextureFormat::Rgba8UnormSrgb)
 }
 
@@ -64,6 +65,30 @@ impl Plate {
         let inside = self.axes.iter().all(|axis| at.dot(*axis).abs() <= self.half - margin);
         (distance > 0.0 && distance.is_finite() && inside).then_some(distance)
     }
+}
+
+/// The ray through the middle of a pixel, 1 long along the view.
+pub(crate) fn ray(view: &View, column: u32, row: u32) -> DVec3 {
+    let [width, height] = view.viewport.map(f64::from);
+    let half = libm::tan(0.5 * view.fov_y);
+    let x = (2.0 * (f64::from(column) + 0.5) / width - 1.0) * half * width / height;
+    let y = (1.0 - 2.0 * (f64::from(row) + 0.5) / height) * half;
+    view.orientation * DVec3::new(x, y, -1.0)
+}
+
+/// A plate as two triangles, white and seen from both sides.
+pub(crate) fn mesh(plate: &Plate) -> Mesh {
+    let normal = plate.normal().to_array().map(|v| v as f32);
+    let corners = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)];
+    let vertices = corners.map(|(x, y)| {
+        let at = plate.half * (x * plate.axes[0] + y * plate.axes[1]);
+        Vertex { position: at.to_array().map(|v| v as f32), normal, uv: [0.0; 2], tint: [255; 4] }
+    });
+    let points = corners.map(|(x, y)| plate.centre + plate.half * (x * plate.axes[0] + y * plate.axes[1]));
+    let bounds = points.map(|min| Aabb { min, max: min }).into_iter().fold(Aabb::EMPTY, Aabb::union);
+    let part = Part { indices: 0..6, base: [1.0; 3], texture: None, cutoff: 0.0, two_sided: true };
+    let indices = vec![0, 1, 2, 0, 2, 3];
+    Mesh { origin: plate.centre, vertices: vertices.to_vec(), indices, parts: vec![part], textures: Vec::new(), bounds }
 }
 
 fn octahedral(normal: DVec3) -> [u8; 2] {

@@ -1,10 +1,15 @@
 //! Measures what the viewer draws, beside the papers' figures and the scheduler's predictions.
 
+mod controller;
+mod culled;
 mod directions;
+mod fading;
 mod flights;
 mod quality;
 mod rank;
+mod resident;
 mod streamed;
+mod street;
 mod worlds;
 
 use clap::{Parser, Subcommand};
@@ -17,7 +22,7 @@ use std::process::ExitCode;
 /// Measures what the viewer draws
 #[derive(Debug, Parser)]
 #[command(
-    after_help = "Examples:\n  pictures quality --out out\n  pictures streamed --small\n  pictures directions --worlds built --out out"
+    after_help = "Examples:\n  pictures quality --out out\n  pictures streamed --small\n  pictures resident --sun --out out\n  pictures directions --worlds built --out out"
 )]
 struct Cli {
     #[command(subcommand)]
@@ -70,6 +75,21 @@ enum Figure {
         #[arg(long, default_value_t = 2, value_name = "N", value_parser = rate)]
         rate: u64,
     },
+    /// Points in memory, in view and after occlusion culling along paths (HIBR Figure 10), and what that culling gains
+    Culled,
+    /// A target frame time held while a city is entered: p90 from 60 frames after (NVE 4.5, 4.6)
+    Controller,
+    /// Popping: the largest change between successive frames of a slow walk, with and without fading (HIBR 5.3)
+    Fading,
+    /// Everything resident, three directions a cell, against the input's surfaces drawn as triangles
+    Resident {
+        /// Pictures a second; divides 60
+        #[arg(long, default_value_t = 1, value_name = "N", value_parser = rate)]
+        rate: u64,
+        /// With the sun from the side, so that normals are seen; without, colours are as they are
+        #[arg(long)]
+        sun: bool,
+    },
     /// 2, 3 and 5 directions drawn of 5 and of 9 (HIBR Figure 5)
     Directions {
         /// Pictures a second; divides 60
@@ -115,11 +135,14 @@ impl Cli {
     /// A flight through `world`.
     fn scene(&self, name: String, world: &str, (path, words): (&str, &str)) -> Result<Scene, Fault> {
         let seconds = self.seconds.unwrap_or(if self.small { 4 } else { 24 });
-        let size = self.size.unwrap_or(if self.small { [160, 120] } else { [640, 480] });
-        let mut scene = Scene::open(name, world, path, &format!("{words} --at-most {seconds}"), size)?;
+        let mut scene = Scene::open(name, world, path, &format!("{words} --at-most {seconds}"), self.size())?;
         // Its colours are photographs.
         scene.is_lit = !scene.name.to_lowercase().contains("mars");
         Ok(scene)
+    }
+
+    fn size(&self) -> [u32; 2] {
+        self.size.unwrap_or(if self.small { [160, 120] } else { [640, 480] })
     }
 
     fn wants(&self, name: &str) -> bool {
@@ -182,6 +205,13 @@ fn measured(cli: &Cli, folder: &Path) -> Result<Findings, Fault> {
             let mut scenes = undirected_scenes(cli)?;
             scenes.extend(stored_scenes(cli, folder)?.into_iter().filter(|(_, c)| *c).map(|(s, _)| s));
             streamed::findings(&scenes, *rate, MEMORY)
+        }
+        Figure::Culled => culled::findings(&culled::flights(folder, cli.small)?),
+        Figure::Controller => controller::findings(&street::open(folder, cli.small)?, cli.small),
+        Figure::Fading => fading::findings(&street::open(folder, cli.small)?, cli.small),
+        Figure::Resident { rate, sun } => {
+            let scenes = resident::scenes(folder, cli.small, cli.only.as_deref(), cli.size())?;
+            resident::findings(&scenes, *rate, *sun)
         }
         Figure::Directions { rate } => directions::findings(&directed_scenes(cli, folder)?, *rate),
     }
