@@ -48,7 +48,8 @@ impl<'a> Offscreen<'a> {
         Ok(Offscreen { world, source, renderer, adapter: gpu.name(), broken: BTreeMap::new() })
     }
 
-    /// The default settings with the sky above this world.
+    /// The default settings with the sky above this world and four samples a pixel: what is finer than a pixel would make
+    /// even equal scenes unlike.
     pub fn settings(world: &World) -> RenderSettings {
         let settings = RenderSettings::default();
         let background = match settings.background {
@@ -57,7 +58,7 @@ impl<'a> Offscreen<'a> {
             }
             plain => plain,
         };
-        RenderSettings { background, ..settings }
+        RenderSettings { background, samples: 4, ..settings }
     }
 
     /// A sun that stands high over this world, to one side.

@@ -109,7 +109,7 @@ const MEMORY: u64 = 256 << 20;
 /// Flights by world: the path, the built-in one if empty, where it goes, and whether it calibrates.
 const FLIGHTS: [(&str, &str, &str, bool); 8] = [
     ("city", "steady:speed=6,duration=24", "--place centre,height=8", true),
-    ("city", "", "--place centre,height=30", false),
+    ("city", "", "--place centre,height=60", false),
     ("terrain", "steady:speed=15,duration=24", "--place centre,height=60,yaw=45", false),
     ("terrain", "turn:speed=20,duration=24", "--place centre,height=120", true),
     ("asteroids", "steady:speed=5,duration=24", "--place centre,height=10,yaw=20", true),
