@@ -153,8 +153,10 @@ impl Renderer {
         let made = match content {
             Content::Splats(image) => Splats::upload(device, queue, &self.layouts, image, self.settings.compression)
                 .map(|splats| splats.map(Uploaded::Splats)),
-            Content::Mesh(mesh) => Triangles::upload(device, queue, &self.layouts, &self.meshes, mesh)
-                .map(|triangles| triangles.map(Uploaded::Triangles)),
+            Content::Mesh(mesh) => {
+                Triangles::upload(device, queue, &self.layouts, &self.meshes, mesh, self.settings.compression)
+                    .map(|triangles| triangles.map(Uploaded::Triangles))
+            }
             Content::Empty => Ok(None),
         };
         if let Some(error) = pollster::block_on(memory.pop()) {

@@ -96,7 +96,17 @@ impl Screen {
         config.present_mode = wgpu::PresentMode::AutoVsync;
         let renderer = Renderer::new(&gpu, settings, config.format);
         let painter = egui_wgpu::Renderer::new(&gpu.device, config.format, egui_wgpu::RendererOptions::default());
-        let mut screen = Screen { gpu, surface, renderer, painter, config, wanted: [0, 0], is_configured: false };
+        let mut screen = Screen {
+            gpu,
+            surface,
+            renderer,
+            painter,
+            config,
+            wanted: [0, 0],
+            is_configured: false,
+            failures: 0,
+            is_given_up: false,
+        };
         screen.resize([size.width, size.height]);
         Ok(screen)
     }
