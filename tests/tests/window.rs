@@ -70,9 +70,8 @@ fn a_window_is_flown_through_resized_and_closed() {
         is_picture(screen) && screen.differs(&first, MIDDLE) > 0.3
     });
     window.drag(150, 40);
-    let turned = window.until(&file("window-turned.png"), "turned picture", |screen| {
-        screen.differs(&nearer, MIDDLE) > 0.3
-    });
+    let turned =
+        window.until(&file("window-turned.png"), "turned picture", |screen| screen.differs(&nearer, MIDDLE) > 0.3);
     window.press("r");
     window.press("c");
     window.until(&file("window-levels.png"), "false colours", |screen| screen.differs(&turned, MIDDLE) > 0.3);
@@ -81,7 +80,8 @@ fn a_window_is_flown_through_resized_and_closed() {
     window.press("c");
     window.press("h");
     window.press("F12");
-    window.until(&file("window-keys.png"), "list of keys", |screen| screen.differs(&turned, [560, 250, 200, 200]) > 0.05);
+    window
+        .until(&file("window-keys.png"), "list of keys", |screen| screen.differs(&turned, [560, 250, 200, 200]) > 0.05);
     // Without pixels nothing is drawn, as well as with more than any texture has.
     for (width, height) in [(1, 1), (16_384, 64), (20_000, 40), (640, 480)] {
         window.resize(width, height);
@@ -138,7 +138,8 @@ fn a_server_that_goes_and_comes_back_leaves_the_world_on_the_screen() {
     server.kill();
     // The world stays, and a line in the middle below says what is the matter.
     let notice = [150, 500, 500, 60];
-    let away = window.until(&file("server-away.png"), "word on the server", |screen| screen.differs(&there, notice) > 0.1);
+    let away =
+        window.until(&file("server-away.png"), "word on the server", |screen| screen.differs(&there, notice) > 0.1);
     assert!(is_picture(&away) && away.differs(&there, MIDDLE) < 0.1, "{}", away.differs(&there, MIDDLE));
     let server = Server::start_on(folder, port, None, &["--world", "city"]);
     window.until(&file("server-back.png"), "session", |screen| screen.differs(&there, notice) < 0.05);
