@@ -44,7 +44,7 @@ use window::WindowArgs;
 )]
 pub(crate) struct Cli {
     /// The server: http://HOST:PORT. Without it the scheduler runs in this program, and contents come from the world itself
-    #[arg(long, value_name = "URL", required_unless_present = "world")]
+    #[arg(long, value_name = "URL")]
     server: Option<String>,
     /// Play without a picture: views are sent, contents fetched, decoding is modelled and nothing drawn
     #[arg(long, requires = "server", conflicts_with = "headless")]

@@ -26,7 +26,7 @@ const DEVICES_MAX: u32 = 5;
 
 /// Opens a window and runs it until it is closed.
 pub(super) fn run(settings: &WindowSettings, exchange: &Exchange) -> Result<Outcome, WindowError> {
-    let system = |error: winit::error::EventLoopError| WindowError::System(error.to_string());
+    let system = |error: winit::error::EventLoopError| WindowError::System(reason(&error));
     let event_loop = EventLoop::new().map_err(system)?;
     let mut app = App {
         settings,
@@ -46,6 +46,13 @@ pub(super) fn run(settings: &WindowSettings, exchange: &Exchange) -> Result<Outc
         Some(error) => Err(error),
         None => Ok(app.flyer.finish(exchange)),
     }
+}
+
+/// What a window system says, without the place in the library's source that it begins with.
+fn reason(error: &impl ToString) -> String {
+    let text = error.to_string();
+    let told = text.rsplit_once(".rs:").and_then(|(_, rest)| Some(rest.split_once(": ")?.1));
+    told.unwrap_or(&text).trim_end_matches('.').to_owned()
 }
 
 struct App<'a> {
@@ -160,7 +167,7 @@ impl App<'_> {
         let attributes = Window::default_attributes()
             .with_title(format!("foresight: {}", self.settings.world.name))
             .with_inner_size(PhysicalSize::new(width.max(1.0) as u32, height.max(1.0) as u32));
-        let window = event_loop.create_window(attributes).map_err(|error| WindowError::System(error.to_string()))?;
+        let window = event_loop.create_window(attributes).map_err(|error| WindowError::System(reason(&error)))?;
         let window = Arc::new(window);
         self.screen(event_loop, &window)?;
         self.window = Some(window);

@@ -380,6 +380,10 @@ impl<'a> Flyer<'a> {
             let text = format!("{} contents cannot be shown; the latest: {fault}", self.stage.broken);
             facts.notices.push(text);
         }
+        let deferred = self.stage.deferred();
+        if deferred > 0 {
+            facts.notices.push(format!("Memory is full: {deferred} contents that are here wait for room"));
+        }
         let is_away = matches!(facts.status.link, Link::Away { .. });
         if is_away && !self.was_away {
             self.outcome.server_away += 1;

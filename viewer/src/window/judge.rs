@@ -43,7 +43,7 @@ mod tests {
         let world = foresight_index::specification::open("city:blocks=3", &(Arc::new(|_, _| {}) as _)).unwrap();
         let view = View {
             position: DVec3::new(-300.0, 0.0, 120.0),
-            orientation: DQuat::from_rotation_z(-1.5708) * DQuat::from_rotation_x(1.2),
+            orientation: DQuat::from_rotation_z(-1.5) * DQuat::from_rotation_x(1.2),
             fov_y: 1.0,
             viewport: [640, 480],
         };

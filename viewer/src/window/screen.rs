@@ -80,9 +80,11 @@ impl Screen {
         let mut descriptor = wgpu::InstanceDescriptor::new_with_display_handle(handle);
         descriptor.backends = gpu_settings.backends;
         let instance = wgpu::Instance::new(descriptor);
-        let surface = instance
-            .create_surface(window.clone())
-            .map_err(|error| GpuError::Refused { what: "a surface for the window", reason: error.to_string() })?;
+        // Without a driver there is nothing to make a surface with.
+        let surface = instance.create_surface(window.clone()).map_err(|error| GpuError::NoAdapter {
+            sought: "vulkan, metal, dx12".to_owned(),
+            reason: error.to_string().trim_end_matches([':', ' ', '{', '}']).to_owned(),
+        })?;
         let gpu = Gpu::open_with(instance, Some(&surface), &gpu_settings)?;
         let size = window.inner_size();
         let unsupported = || GpuError::Refused {

@@ -49,6 +49,9 @@ pub(super) struct Stage<'a> {
     resident: Resident,
     items: BTreeMap<RepId, Item>,
     drawable: BTreeSet<RepId>,
+    memory: u64,
+    /// At hand, but beyond the memory: contents take more of it than the world says. Asked for again where there is room.
+    deferred: BTreeSet<RepId>,
     ranked_ns: u64,
     /// Since the start.
     pub(super) shown: u64,
@@ -66,6 +69,8 @@ impl<'a> Stage<'a> {
             resident: Resident::new(loader, ResidentSettings::with_budget(memory)),
             items: BTreeMap::new(),
             drawable: BTreeSet::new(),
+            memory,
+            deferred: BTreeSet::new(),
             ranked_ns: 0,
             shown: 0,
             broken: 0,
@@ -90,6 +95,7 @@ impl<'a> Stage<'a> {
             self.resident.discard(rep, &mut taker);
             self.items.remove(&rep);
             self.drawable.remove(&rep);
+            self.deferred.remove(&rep);
         }
         for given in given {
             let rep = RepId(given.rep);
@@ -111,6 +117,7 @@ impl<'a> Stage<'a> {
             for rep in waiting {
                 self.resident.rank(rep, self.rank(rep, view));
             }
+            self.retry(exchange, view);
         }
         let frame = self.resident.frame(&mut taker);
         for rep in frame.shown {
@@ -126,7 +133,26 @@ impl<'a> Stage<'a> {
         }
     }
 
+    /// Whether there is memory for a content, if it takes what the world says.
+    fn has_room(&self, rep: RepId) -> bool {
+        self.resident.used().total().saturating_add(self.world.tree.decoded_bytes(rep)) <= self.memory
+    }
+
+    /// Asks again for the most wanted of what found no room, if there is some.
+    fn retry(&mut self, exchange: &Exchange, view: &View) {
+        let best = self.deferred.iter().map(|&rep| (self.rank(rep, view), rep)).max_by(|a, b| a.0.total_cmp(&b.0));
+        let Some((rank, rep)) = best.filter(|&(_, rep)| self.has_room(rep)) else { return };
+        self.deferred.remove(&rep);
+        if let Some((rep, why)) = self.resident.ask(rep, rank) {
+            self.fail(rep, why, exchange);
+        }
+    }
+
     fn fail(&mut self, rep: RepId, why: String, exchange: &Exchange) {
+        if self.items.get(&rep).is_some_and(|item| item.is_local) && !self.has_room(rep) {
+            self.deferred.insert(rep);
+            return;
+        }
         self.broken += 1;
         self.fault = Some(why.clone());
         if let Some(item) = self.items.remove(&rep) {
@@ -179,6 +205,11 @@ impl<'a> Stage<'a> {
     /// Most memory there ever was, bytes.
     pub(super) fn used_max(&self) -> u64 {
         self.resident.used_max()
+    }
+
+    /// Contents that wait for memory.
+    pub(super) fn deferred(&self) -> usize {
+        self.deferred.len()
     }
 
     /// Contents that wait to be decoded or uploaded.
