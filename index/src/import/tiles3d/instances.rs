@@ -177,6 +177,6 @@ mod tests {
         assert!((octahedral(&packed(65535, 32768), 0) - DVec3::X).length() < 1e-4);
         assert!((octahedral(&packed(65535, 65535), 0) - DVec3::NEG_Z).length() < 1e-4);
         let frame = east_north_up(DVec3::new(WGS84_A, 0.0, 0.0));
-        assert_eq!(frame, DMat3::from_cols(DVec3::Y, DVec3::Z, DVec3::X));
+        assert!(frame.abs_diff_eq(DMat3::from_cols(DVec3::Y, DVec3::Z, DVec3::X), 1e-12), "{frame}");
     }
 }
