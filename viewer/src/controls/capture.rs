@@ -93,7 +93,7 @@ impl Beside {
 /// A size that does not fit the bytes, what the file system says, no free number.
 pub fn screenshot(folder: &Path, [width, height]: [u32; 2], rgba: &[u8]) -> Result<PathBuf, CaptureError> {
     use image::ImageEncoder;
-    if u64::from(width) * u64::from(height) * 4 != rgba.len() as u64 || rgba.is_empty() {
+    if (u64::from(width) * u64::from(height)).saturating_mul(4) != rgba.len() as u64 || rgba.is_empty() {
         return Err(CaptureError::Picture(width, height, rgba.len()));
     }
     let (beside, file) = Beside::create(folder, "screenshot", "png")?;
