@@ -4,6 +4,7 @@ use crate::arguments::headless::{AgainstWord, LightWord};
 use crate::arguments::{Cli, LINK};
 use crate::no_draw::print;
 use anyhow::{Context, bail};
+use foresight_index::world::WorldKind;
 use foresight_scheduler::policy::specification::PolicySpec;
 use foresight_traces::arguments;
 use foresight_traces::client::ClientSettings;
@@ -17,6 +18,9 @@ use std::io::IsTerminal;
 
 /// Pictures a second where nothing is said: software takes a second for one.
 const RATE: u64 = 2;
+
+/// Notes on an imported world that are printed.
+const NOTES: usize = 5;
 
 /// The default of α.
 const ALPHA: f64 = 0.7;
@@ -43,6 +47,9 @@ pub(crate) fn run(cli: &Cli) -> anyhow::Result<bool> {
     let (world, source) = Source::open(name).context("--world")?;
     if let Some(why) = source.refusal() {
         bail!("--world {name}: {why}");
+    }
+    if world.kind != WorldKind::Built {
+        arguments::world_notes(&world, NOTES).iter().for_each(|note| eprintln!("{note}"));
     }
     policy.settings.reach.up = world.up;
     let mut flight = cli.path(Some(&world))?;
