@@ -1,10 +1,14 @@
 //! Measures what the viewer draws, beside the papers' figures and the scheduler's predictions.
 
+mod cost;
 mod directions;
 mod flights;
+mod offset;
 mod quality;
 mod rank;
+mod shapes;
 mod streamed;
+mod tree;
 mod worlds;
 
 use clap::{Parser, Subcommand};
@@ -17,7 +21,7 @@ use std::process::ExitCode;
 /// Measures what the viewer draws
 #[derive(Debug, Parser)]
 #[command(
-    after_help = "Examples:\n  pictures quality --out out\n  pictures streamed --small\n  pictures directions --worlds built --out out"
+    after_help = "Examples:\n  pictures quality --out out\n  pictures streamed --small\n  pictures directions --worlds built --out out\n  pictures shapes --small --out out\n  pictures cost --worlds built\n  pictures offset --worlds built"
 )]
 struct Cli {
     #[command(subcommand)]
@@ -63,6 +67,24 @@ enum Figure {
         /// Pictures a second; divides 60
         #[arg(long, default_value_t = 2, value_name = "N", value_parser = rate)]
         rate: u64,
+        /// Only flights whose names hold this
+        #[arg(long, value_name = "TEXT")]
+        only: Option<String>,
+    },
+    /// Circular, warped, elliptical, and hybrid splats with and without sphericality, against triangles (HIBR Figure 8)
+    Shapes {
+        /// Only flights whose names hold this
+        #[arg(long, value_name = "TEXT")]
+        only: Option<String>,
+    },
+    /// Milliseconds per million splats; what compressed textures save and lose
+    Cost {
+        /// Only flights whose names hold this
+        #[arg(long, value_name = "TEXT")]
+        only: Option<String>,
+    },
+    /// Pixels that differ 6.4 million metres from the origin
+    Offset {
         /// Only flights whose names hold this
         #[arg(long, value_name = "TEXT")]
         only: Option<String>,
@@ -120,6 +142,13 @@ fn stored_scenes(folder: &Path, small: bool, only: Option<&str>) -> Result<Vec<(
     Ok(scenes)
 }
 
+/// One flight through each stored world.
+fn first_scenes(folder: &Path, small: bool, only: Option<&str>) -> Result<Vec<Scene>, Fault> {
+    let mut scenes: Vec<Scene> = stored_scenes(folder, small, only)?.into_iter().map(|(scene, _)| scene).collect();
+    scenes.dedup_by(|a, b| a.name.split(',').next() == b.name.split(',').next());
+    Ok(scenes)
+}
+
 /// Flights through worlds whose contents show every direction.
 fn undirected_scenes(small: bool, only: Option<&str>) -> Result<Vec<Scene>, Fault> {
     let mut cases =
@@ -168,6 +197,13 @@ fn measured(cli: &Cli, folder: &Path) -> Result<Findings, Fault> {
                 stored_scenes(folder, cli.small, only.as_deref())?.into_iter().filter(|(_, c)| *c).map(|(s, _)| s),
             );
             streamed::findings(&scenes, *rate, MEMORY)
+        }
+        Figure::Shapes { only } => {
+            shapes::findings(&first_scenes(folder, cli.small, only.as_deref())?, size(cli.small))
+        }
+        Figure::Cost { only } => cost::findings(&first_scenes(folder, cli.small, only.as_deref())?),
+        Figure::Offset { only } => {
+            offset::findings(&first_scenes(folder, cli.small, only.as_deref())?, size(cli.small))
         }
         Figure::Directions { rate } => directions::findings(&directed_scenes(folder, cli.small)?, *rate),
     }
