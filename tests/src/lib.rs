@@ -1,8 +1,9 @@
 //! What the end-to-end tests share: running the built programs, inputs written by the test itself, recorded data, the
-//! byte-level parsers that the fuzz corpora exercise, a browser, the comparison with real viewers, the sidecar's programs, and what a stored world has to show.
+//! byte-level parsers that the fuzz corpora exercise, a browser, the comparison with real viewers, the sidecar's programs, and what a stored world has to show, a desktop.
 
 pub mod chromium;
 pub mod delivery;
+pub mod desktop;
 pub mod fidelity;
 pub mod input;
 pub mod parser;

@@ -3,6 +3,7 @@
 use std::fmt::Display;
 use std::path::Path;
 
+use foresight_index::format::orthoview;
 use foresight_index::generate::asteroids::AsteroidParams;
 use foresight_index::generate::city::CityParams;
 use foresight_index::generate::document;
@@ -34,6 +35,7 @@ pub const TARGETS: &[(&str, Parser)] = &[
     ("comma2k19", comma2k19),
     ("content", |bytes| outcome(tiles3d::content_summary(bytes))),
     ("delay", |bytes| outcome(link::delay::parse("delay", bytes))),
+    ("drawn-content", |bytes| outcome(tiles3d::content_surface(bytes))),
     ("geotiff", |bytes| outcome(elevation::parse_geotiff(bytes))),
     ("gltf", |bytes| surfaces(bytes, |file| Ok(Box::new(GltfFile::open(file)?)))),
     ("gpx", |bytes| path_as(Format::Gpx, bytes)),
@@ -46,6 +48,7 @@ pub const TARGETS: &[(&str, Parser)] = &[
     ("manifest", |bytes| outcome(manifest::parse(bytes))),
     ("npz", |bytes| outcome(elevation::parse_npz(bytes))),
     ("obj", |bytes| surfaces(bytes, |file| Ok(Box::new(ObjFile::open(file, Up::Z)?)))),
+    ("orthoview", |bytes| outcome(orthoview::decode_planes(bytes))),
     ("page", page),
     ("path", |bytes| outcome(path::parse::from_bytes("path", bytes, &path::parse::Options::default()))),
     ("ply", |bytes| surfaces(bytes, |file| Ok(Box::new(PlyFile::open(file, Up::Y)?)))),

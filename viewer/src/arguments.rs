@@ -44,7 +44,7 @@ use window::WindowArgs;
 )]
 pub(crate) struct Cli {
     /// The server: http://HOST:PORT. Without it the scheduler runs in this program, and contents come from the world itself
-    #[arg(long, value_name = "URL", required_unless_present = "world")]
+    #[arg(long, value_name = "URL")]
     server: Option<String>,
     /// Play without a picture: views are sent, contents fetched, decoding is modelled and nothing drawn
     #[arg(long, requires = "server", conflicts_with = "headless")]
@@ -63,7 +63,7 @@ pub(crate) struct Cli {
     #[arg(long, value_name = "PATH")]
     path: Option<String>,
     #[command(flatten)]
-    path_args: PathArgs,
+    pub(crate) path_args: PathArgs,
     /// Memory budget: bytes, 256MiB, 1GB
     #[arg(long, default_value = "256MiB", value_name = "SIZE", value_parser = arguments::bytes)]
     pub(crate) memory: u64,
@@ -243,6 +243,12 @@ impl Cli {
     /// The world, if one is named.
     pub(crate) fn world(&self) -> anyhow::Result<Option<World>> {
         self.world.as_deref().map(|world| arguments::world_named(world).context("--world")).transpose()
+    }
+
+    /// What `--rate` says.
+    #[cfg(feature = "window")]
+    pub(crate) fn rate(&self) -> Option<u64> {
+        self.rate
     }
 
     /// Whether a path is named.

@@ -18,6 +18,11 @@ impl Clock {
         u64::try_from(self.0.elapsed().as_nanos()).unwrap_or(u64::MAX)
     }
 
+    /// The instant `at_ns` after time zero, for window systems.
+    pub fn instant(self, at_ns: u64) -> std::time::Instant {
+        (self.0 + Duration::from_nanos(at_ns)).into_std()
+    }
+
     /// Returns at `at_ns` or up to a millisecond later, which is the timer's resolution; at once if that has passed.
     pub async fn sleep_until(self, at_ns: u64) {
         tokio::time::sleep_until(self.0 + Duration::from_nanos(at_ns)).await;

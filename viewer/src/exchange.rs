@@ -105,8 +105,6 @@ pub struct Status {
     pub failed: u64,
     /// The latest failure.
     pub failure: Option<String>,
-    /// What each resident representation is worth, for false colours; empty if nobody says.
-    pub benefits: BTreeMap<u32, f32>,
 }
 
 #[derive(Debug, Default)]

@@ -1,6 +1,6 @@
 //! `foresight-viewer --headless`.
 
-use crate::arguments::headless::AgainstWord;
+use crate::arguments::headless::{AgainstWord, LightWord};
 use crate::arguments::{Cli, LINK};
 use crate::no_draw::print;
 use anyhow::{Context, bail};
@@ -9,7 +9,7 @@ use foresight_traces::arguments;
 use foresight_traces::client::ClientSettings;
 use foresight_viewer::clock::Clock;
 use foresight_viewer::draw::choose::ChooseSettings;
-use foresight_viewer::gpu::GpuSettings;
+use foresight_viewer::gpu::{GpuSettings, Light, RenderSettings};
 use foresight_viewer::headless::{self, Against, Headless, Summary};
 use foresight_viewer::offscreen::Offscreen;
 use foresight_viewer::scene::source::Source;
@@ -47,7 +47,12 @@ pub(crate) fn run(cli: &Cli) -> anyhow::Result<bool> {
     policy.settings.reach.up = world.up;
     let mut flight = cli.path(Some(&world))?;
     flight.views.iter_mut().for_each(|view| view.viewport = args.size);
-    let mut offscreen = Offscreen::new(&world, &source, &GpuSettings::default(), Offscreen::settings(&world))?;
+    let light = match args.light {
+        LightWord::Unlit => Light::Unlit,
+        LightWord::Sun => Offscreen::sun(&world),
+    };
+    let settings = RenderSettings { light, ..Offscreen::settings(&world) };
+    let mut offscreen = Offscreen::new(&world, &source, &GpuSettings::default(), settings)?;
     let flown = Headless {
         world: &world,
         flight: &flight,

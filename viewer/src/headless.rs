@@ -8,9 +8,11 @@ use foresight_index::world::World;
 use foresight_replay::future;
 use foresight_replay::replay::Announcer;
 use foresight_replay::simulation::{Conditions, ReplayError, Simulation};
+use foresight_scheduler::benefit::accuracy::HALF_ACCURACY_PX;
 use foresight_scheduler::benefit::coverage::Refinement;
 use foresight_scheduler::benefit::cut::{Cut, CutSettings, Region};
-use foresight_scheduler::lod_tree::RepId;
+use foresight_scheduler::benefit::quality::evaluate;
+use foresight_scheduler::lod_tree::{LodTree, RepId};
 use foresight_scheduler::policy::specification::PolicySpec;
 use foresight_scheduler::scheduler::SchedulerSettings;
 use foresight_scheduler::state::smallest_closure;
@@ -74,6 +76,9 @@ pub struct Row {
     pub t_s: f64,
     /// The scheduler's measured quality Q of the view; `None` where nothing is in view.
     pub quality: Option<f64>,
+    /// Share of the view's weight that is shown at an error of at most 1, 2, 4, …, 512 pixels; empty where nothing is in
+    /// view.
+    pub within_px: Vec<f64>,
     /// Structural similarity with the reference, sky left out; `None` where the reference shows nothing.
     pub ssim: Option<f64>,
     /// dB; `None` where the reference shows nothing, and where there is no difference.
@@ -150,6 +155,9 @@ pub struct Summary {
     /// How many there are of these.
     pub broken_count: usize,
 }
+
+/// Of [`Row::within_px`].
+const OCTAVES: usize = 10;
 
 /// Most faults that a summary names.
 const BROKEN_MAX: usize = 10;
@@ -240,6 +248,7 @@ pub fn fly(
         }
         cut.make(tree, view, Region::Frustum, &CutSettings { centre_falloff: 0.0, ..CutSettings::default() });
         let quality = simulation.judge(&cut).mean();
+        let within_px = within_px(tree, &cut, &simulation);
         let (picture, counts) = offscreen.picture(view, &resident, &headless.choose)?;
         let frame = totals.rows;
         let made = match references.as_deref().and_then(|kept| kept.get(frame)) {
@@ -253,7 +262,7 @@ pub fn fly(
         let kept = references.as_deref().and_then(|kept| kept.get(frame));
         let reference = made.as_ref().or(kept).unwrap_or(&picture);
         let likeness = measure::compare(&picture, reference)?;
-        let row = row(frame, now, quality, likeness, counts, &simulation, resident.len());
+        let row = Row { quality, within_px, ..row(frame, now, likeness, counts, &simulation, resident.len()) };
         totals.add(&row);
         each(&Shown { row: &row, picture: &picture, reference, cut: &cut, simulation: &simulation })?;
         if let (Some(made), Some(kept)) = (made, references.as_deref_mut()) {
@@ -288,10 +297,23 @@ pub fn fly(
     })
 }
 
+/// [`Row::within_px`].
+fn within_px(tree: &LodTree, cut: &Cut, simulation: &Simulation) -> Vec<f64> {
+    let mut within = [0.0; OCTAVES];
+    let total = evaluate(tree, cut, simulation.resident(), |part| {
+        let pixels = f64::from(part.error) * part.sharpness.sqrt() * HALF_ACCURACY_PX;
+        if part.owner.is_some() {
+            let limits = (0..OCTAVES).map(|octave| (1u32 << octave) as f64);
+            within.iter_mut().zip(limits).filter(|(_, most)| pixels <= *most).for_each(|(sum, _)| *sum += part.weight);
+        }
+    })
+    .weight;
+    if total > 0.0 { within.map(|sum| sum / total).to_vec() } else { Vec::new() }
+}
+
 fn row(
     frame: usize,
     now: Time,
-    quality: Option<f64>,
     likeness: Option<Likeness>,
     counts: FrameCounts,
     simulation: &Simulation,
@@ -300,7 +322,8 @@ fn row(
     Row {
         frame,
         t_s: now.secs(),
-        quality,
+        quality: None,
+        within_px: Vec::new(),
         ssim: likeness.map(|l| l.ssim),
         psnr_db: likeness.map(|l| l.psnr_db).filter(|db| db.is_finite()),
         holes: likeness.map(|l| l.holes),

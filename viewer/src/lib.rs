@@ -27,9 +27,13 @@ pub mod measure;
 pub mod modelled;
 #[cfg(feature = "draw")]
 pub mod offscreen;
+#[cfg(feature = "window")]
+pub mod overlay;
 pub mod residency;
 #[cfg(feature = "draw")]
 pub mod scene;
 pub mod session;
 pub mod statistics;
 pub mod summary;
+#[cfg(feature = "window")]
+pub mod window;

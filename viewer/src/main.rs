@@ -4,8 +4,10 @@ mod arguments;
 #[cfg(feature = "draw")]
 mod frames;
 mod no_draw;
+#[cfg(feature = "window")]
+mod windowed;
 
-use anyhow::{Context, bail};
+use anyhow::Context;
 use arguments::{Cli, Way};
 use clap::Parser;
 use std::process::ExitCode;
@@ -56,16 +58,22 @@ fn headless(cli: &Cli) -> anyhow::Result<bool> {
 
 #[cfg(not(feature = "draw"))]
 fn headless(cli: &Cli) -> anyhow::Result<bool> {
-    bail!("this build draws no frames, because its feature `draw` is off ({:?}); expected --no-draw", cli.headless_args)
+    anyhow::bail!(
+        "this build draws nothing: --frames {:?} needs its feature `draw`; expected --no-draw",
+        cli.headless_args.frames
+    )
 }
 
 #[cfg(feature = "window")]
 fn window(cli: &Cli) -> anyhow::Result<bool> {
-    bail!("no window can be opened yet: {:?}", cli.window_args)
+    windowed::run(cli)
 }
 
 #[cfg(not(feature = "window"))]
 fn window(cli: &Cli) -> anyhow::Result<bool> {
     let others = if cfg!(feature = "draw") { "--headless or --no-draw" } else { "--no-draw" };
-    bail!("this build opens no window, because its feature `window` is off ({:?}); expected {others}", cli.window_args)
+    anyhow::bail!(
+        "this build opens no window: --controls {:?} needs its feature `window`; expected {others}",
+        cli.window_args.controls
+    )
 }

@@ -3,7 +3,7 @@
 
 use crate::draw::choose::{ChooseSettings, choose};
 use crate::draw::list::DrawList;
-use crate::gpu::{Background, FrameCounts, Gpu, GpuError, GpuSettings, Picture, RenderSettings, Renderer};
+use crate::gpu::{Background, FrameCounts, Gpu, GpuError, GpuSettings, Light, Picture, RenderSettings, Renderer};
 use crate::scene::content::Content;
 use crate::scene::decode::decode;
 use crate::scene::source::Source;
@@ -48,7 +48,8 @@ impl<'a> Offscreen<'a> {
         Ok(Offscreen { world, source, renderer, adapter: gpu.name(), broken: BTreeMap::new() })
     }
 
-    /// The default settings with the sky above this world.
+    /// The default settings with the sky above this world and four samples a pixel: what is finer than a pixel would make
+    /// even equal scenes unlike.
     pub fn settings(world: &World) -> RenderSettings {
         let settings = RenderSettings::default();
         let background = match settings.background {
@@ -57,7 +58,14 @@ impl<'a> Offscreen<'a> {
             }
             plain => plain,
         };
-        RenderSettings { background, ..settings }
+        RenderSettings { background, samples: 4, ..settings }
+    }
+
+    /// A sun that stands high over this world, to one side.
+    pub fn sun(world: &World) -> Light {
+        let (across, along) = world.up.any_orthonormal_pair();
+        let towards = (world.up + 0.6 * across + 0.35 * along).normalize_or(world.up);
+        Light::Sun { towards, ambient: 0.35 }
     }
 
     /// The adapter's name.
@@ -107,6 +115,21 @@ impl<'a> Offscreen<'a> {
                 return self.renderer.picture(view, &list);
             }
         }
+    }
+
+    /// What draws, for frames of another kind than [`Offscreen::picture`].
+    pub fn renderer(&mut self) -> &mut Renderer {
+        &mut self.renderer
+    }
+
+    /// Decodes and uploads what of `reps` is not there yet.
+    ///
+    /// # Errors
+    /// A device that is lost.
+    pub fn load(&mut self, reps: impl IntoIterator<Item = RepId>) -> Result<(), GpuError> {
+        let known = |rep: &RepId| self.renderer.contains(*rep) || self.broken.contains_key(rep);
+        let missing: Vec<RepId> = reps.into_iter().filter(|rep| !known(rep)).collect();
+        missing.chunks(BATCH).try_for_each(|batch| self.take(batch))
     }
 
     fn take(&mut self, batch: &[RepId]) -> Result<(), GpuError> {

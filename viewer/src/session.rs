@@ -81,6 +81,14 @@ pub enum FlightError {
     /// The server has refused the session for good.
     #[error("the server refuses the session: {0}")]
     Refused(String),
+    /// The world on the server is not the one that is drawn.
+    #[error("the server's world has {found} representations; expected the {expected} of --world")]
+    OtherWorld {
+        /// Of the server's.
+        found: usize,
+        /// Of the one that is drawn.
+        expected: usize,
+    },
     /// The log cannot be written.
     #[error("the log of events: {0}")]
     Log(#[from] std::io::Error),
@@ -144,6 +152,8 @@ struct Session<'a> {
     exchange: Option<&'a Exchange>,
     /// What is on its way, if it is drawn.
     wanted: BTreeMap<u32, Fetch>,
+    /// How many the server's world must have.
+    representations: Option<usize>,
     /// Why there is no connection.
     away: String,
     clock: Clock,
@@ -217,6 +227,7 @@ impl<'a> Session<'a> {
             camera,
             exchange,
             wanted: BTreeMap::new(),
+            representations: None,
             away: String::new(),
             clock,
             timed_from_ns: 0,
@@ -335,7 +346,14 @@ impl<'a> Session<'a> {
     fn obey(&mut self, message: ServerMessage) -> Result<(), FlightError> {
         let now = self.now_ns();
         match message {
-            ServerMessage::Welcome(welcome) => self.enter(*welcome),
+            ServerMessage::Welcome(welcome) => {
+                let (found, expected) =
+                    (usize::try_from(welcome.representations).unwrap_or(usize::MAX), self.representations);
+                if let Some(expected) = expected.filter(|&expected| expected != found) {
+                    return Err(FlightError::OtherWorld { found, expected });
+                }
+                self.enter(*welcome);
+            }
             ServerMessage::Fetch(fetch) => {
                 self.waiting = None;
                 self.fetch(&fetch, now);

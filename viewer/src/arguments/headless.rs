@@ -17,6 +17,9 @@ pub(crate) struct HeadlessArgs {
     /// triangles)
     #[arg(long, default_value = "everything", value_name = "WHAT", requires = "headless")]
     pub(crate) against: AgainstWord,
+    /// How surfaces are lit: unlit (as the contents have it) or sun
+    #[arg(long, default_value = "unlit", value_name = "LIGHT", requires = "headless")]
+    pub(crate) light: LightWord,
     /// Columns and rows of the pictures, which the scheduler takes for the viewport
     #[arg(long, default_value = "640x480", value_name = "WxH", value_parser = size, requires = "headless", conflicts_with = "viewport")]
     pub(crate) size: [u32; 2],
@@ -26,6 +29,12 @@ pub(crate) struct HeadlessArgs {
 pub(crate) enum AgainstWord {
     Everything,
     Geometry,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(crate) enum LightWord {
+    Unlit,
+    Sun,
 }
 
 fn size(text: &str) -> Result<[u32; 2], String> {

@@ -60,6 +60,12 @@ pub enum Action {
     LightHigher,
     /// Antialiasing on or off.
     Samples,
+    /// Less is drawn where a frame takes too long, or not.
+    HoldTime,
+    /// Lists the keys.
+    Keys,
+    /// Opens the graphics device anew.
+    Device,
     /// Full screen or not.
     FullScreen,
     /// Closes the window.
@@ -91,13 +97,13 @@ pub const BINDINGS: &[Binding] = &[
     key(&["KeyD"], "D", Action::Right, "right"),
     key(&["KeyE", "PageUp"], "E, PgUp", Action::Up, "up"),
     key(&["KeyQ", "PageDown"], "Q, PgDn", Action::Down, "down"),
-    key(&["ArrowLeft"], "←", Action::TurnLeft, "turn left (or drag)"),
-    key(&["ArrowRight"], "→", Action::TurnRight, "turn right (or drag)"),
-    key(&["ArrowUp"], "↑", Action::TiltUp, "look up (or drag)"),
-    key(&["ArrowDown"], "↓", Action::TiltDown, "look down (or drag)"),
+    key(&["ArrowLeft"], "Left", Action::TurnLeft, "turn left (or drag)"),
+    key(&["ArrowRight"], "Right", Action::TurnRight, "turn right (or drag)"),
+    key(&["ArrowUp"], "Up", Action::TiltUp, "look up (or drag)"),
+    key(&["ArrowDown"], "Down", Action::TiltDown, "look down (or drag)"),
     key(&["ShiftLeft", "ShiftRight"], "Shift", Action::Fast, "hurry"),
     key(&["Equal", "NumpadAdd"], "+", Action::Quicker, "quicker, nearer (or wheel)"),
-    key(&["Minus", "NumpadSubtract"], "−", Action::Slower, "slower, farther (or wheel)"),
+    key(&["Minus", "NumpadSubtract"], "-", Action::Slower, "slower, farther (or wheel)"),
     key(&["Digit1"], "1", Action::Fly, "fly"),
     key(&["Digit2"], "2", Action::Walk, "walk on the ground"),
     key(&["Digit3"], "3", Action::Orbit, "orbit what is ahead"),
@@ -105,13 +111,16 @@ pub const BINDINGS: &[Binding] = &[
     key(&["Space"], "Space", Action::Play, "play or stop the path"),
     key(&["KeyR"], "R", Action::Record, "record the path"),
     key(&["F12", "KeyP"], "F12, P", Action::Screenshot, "screenshot"),
-    key(&["F1"], "F1", Action::Overlay, "this overlay"),
+    key(&["F1"], "F1", Action::Overlay, "panels"),
+    key(&["KeyH"], "H", Action::Keys, "this list"),
     key(&["F2", "KeyC"], "F2, C", Action::FalseColour, "false colours"),
     key(&["F3", "KeyV"], "F3, V", Action::Shape, "shape of splats"),
     key(&["F4", "KeyL"], "F4, L", Action::Light, "light on or off"),
     key(&["Comma"], ",", Action::LightAround, "light around"),
     key(&["Period"], ".", Action::LightHigher, "light higher"),
     key(&["F6", "KeyM"], "F6, M", Action::Samples, "antialiasing"),
+    key(&["KeyT"], "T", Action::HoldTime, "hold the frame time"),
+    key(&["F9"], "F9", Action::Device, "open the graphics device anew"),
     key(&["F11", "KeyF"], "F11, F", Action::FullScreen, "full screen"),
     key(&["Escape"], "Esc", Action::Close, "close"),
 ];

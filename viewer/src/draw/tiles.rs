@@ -1,55 +1,33 @@
 //! Which of an orthoview's 4 × 4 tiles the view can show at all (\[HIBR\] §6.1).
 
-use super::list::DrawList;
+use super::list::Item;
 use foresight_scheduler::benefit::frustum::{Frustum, Side};
-use foresight_scheduler::lod_tree::{Aabb, RepId};
-use foresight_scheduler::view::View;
+use foresight_scheduler::lod_tree::Aabb;
 
-/// Tiles of an orthoview: 4 × 4, by the bit of [`super::list::Item::tiles`].
+/// Tiles of an orthoview: 4 × 4, by the bit of [`Item::tiles`].
 pub const TILES: usize = 16;
 
-/// How many tiles there were, and are left.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct TileCounts {
-    /// Of all items, without those in which nothing is.
-    pub all: u32,
-    /// In the view, and not all in a box that is left out.
-    pub kept: u32,
-}
-
-/// Takes tiles away that are empty, out of view, or inside a box that their item leaves out; and items without any tile
-/// left. `boxes` bounds each tile's splats, [`Aabb::EMPTY`] where it has none; what has no tiles is kept whole.
-pub fn cull_tiles(list: &mut DrawList, view: &View, boxes: impl Fn(RepId) -> Option<[Aabb; TILES]>) -> TileCounts {
-    let mut counts = TileCounts::default();
-    if view.check().is_err() {
-        return counts;
-    }
-    let frustum = Frustum::new(view);
-    list.items.retain_mut(|item| {
-        let Some(boxes) = boxes(item.rep) else {
-            return true;
-        };
-        let tiles = item.tiles;
-        for (tile, bounds) in boxes.iter().enumerate().filter(|(tile, _)| tiles >> tile & 1 == 1) {
-            let empty = bounds.is_empty();
-            counts.all += u32::from(!empty);
-            let (centre, half) = (bounds.centre() - frustum.eye, 0.5 * (bounds.max - bounds.min));
-            let inside = |hidden: &Aabb| bounds.min.cmpgt(hidden.min).all() && bounds.max.cmplt(hidden.max).all();
-            if empty || frustum.side(centre, half) == Side::Outside || item.hidden.iter().any(inside) {
-                item.tiles &= !(1 << tile);
-            } else {
-                counts.kept += 1;
-            }
+/// An item's tiles without those that are empty, out of view, or all inside a box that it leaves out. `boxes` bounds each
+/// tile's splats, [`Aabb::EMPTY`] where it has none.
+pub fn tiles_in_view(frustum: &Frustum, item: &Item, boxes: &[Aabb; TILES]) -> u16 {
+    let mut tiles = item.tiles;
+    for (tile, bounds) in boxes.iter().enumerate() {
+        let (centre, half) = (bounds.centre() - frustum.eye, 0.5 * (bounds.max - bounds.min));
+        let inside = |hidden: &Aabb| bounds.min.cmpgt(hidden.min).all() && bounds.max.cmplt(hidden.max).all();
+        let is_out = bounds.is_empty() || frustum.side(centre, half) == Side::Outside;
+        if is_out || item.hidden.iter().any(inside) {
+            tiles &= !(1 << tile);
         }
-        item.tiles != 0
-    });
-    counts
+    }
+    tiles
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::draw::list::{ALL_TILES, Item};
+    use crate::draw::list::ALL_TILES;
+    use foresight_scheduler::lod_tree::RepId;
+    use foresight_scheduler::view::View;
     use glam::{DQuat, DVec3};
 
     #[test]
@@ -71,20 +49,16 @@ mod tests {
             boxes[5] = Aabb::EMPTY;
             boxes
         };
-        let item = |hidden: Vec<Aabb>| Item { rep: RepId(0), hidden, tiles: ALL_TILES, false_colour: None };
-        let culled = |behind: f64, hidden: Vec<Aabb>| {
-            let mut list = DrawList { items: vec![item(hidden)] };
-            let counts = cull_tiles(&mut list, &view, |_| Some(boxes(behind)));
-            (list.items.first().map_or(0, |item| item.tiles), counts)
+        let frustum = Frustum::new(&view);
+        let seen = |behind: f64, hidden: Vec<Aabb>| {
+            let item = Item { rep: RepId(0), hidden, tiles: ALL_TILES, false_colour: None };
+            tiles_in_view(&frustum, &item, &boxes(behind))
         };
-        assert_eq!(culled(0.0, Vec::new()), (ALL_TILES & !(1 << 5), TileCounts { all: 15, kept: 15 }));
-        assert_eq!(culled(100.0, Vec::new()), (0, TileCounts { all: 15, kept: 0 }));
+        assert_eq!(seen(0.0, Vec::new()), ALL_TILES & !(1 << 5));
+        assert_eq!(seen(100.0, Vec::new()), 0);
         // At 10 m the pyramid shows the four in the middle only, one of which is empty.
-        assert_eq!(culled(10.0, Vec::new()).0, 1 << 6 | 1 << 9 | 1 << 10);
+        assert_eq!(seen(10.0, Vec::new()), 1 << 6 | 1 << 9 | 1 << 10);
         let left_out = Aabb { min: DVec3::new(-21.0, -21.0, -30.0), max: DVec3::new(-9.0, -9.0, 0.0) };
-        assert_eq!(culled(0.0, vec![left_out]).0, ALL_TILES & !(1 << 5 | 1));
-        let mut whole = DrawList { items: vec![item(Vec::new())] };
-        assert_eq!(cull_tiles(&mut whole, &view, |_| None), TileCounts::default());
-        assert_eq!(whole.items.len(), 1);
+        assert_eq!(seen(0.0, vec![left_out]), ALL_TILES & !(1 << 5 | 1));
     }
 }

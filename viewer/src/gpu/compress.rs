@@ -1,7 +1,7 @@
 //! Block-compressed planes: 4 × 4 pixels a block.
 
 use super::settings::Compression;
-use crate::scene::content::SplatImage;
+use crate::scene::content::{SplatImage, TextureImage};
 use block_compression::encode::compress_rgba8;
 use block_compression::{BC7Settings, CompressionVariant};
 use std::borrow::Cow;
@@ -39,6 +39,36 @@ pub(crate) fn normals(image: &SplatImage, compression: Compression) -> Plane<'_>
             [normals[2 * at], normals[2 * at + 1], 0, 255]
         }),
     }
+}
+
+/// A texture's levels one after the other: BC1, or BC3 where something is not opaque (half a byte and a byte a texel), or BC7 (a byte)
+/// where compressed. Sides that are no multiples of 4 stay as they are.
+pub(crate) fn levels(image: &TextureImage, compression: Compression) -> Plane<'_> {
+    let length = image.levels().map(|(_, texels)| texels.len()).sum();
+    let is_opaque = image.texels.as_chunks::<4>().0.iter().all(|texel| texel[3] == 255);
+    let (format, variant) = match (compression, is_opaque) {
+        _ if image.size.iter().any(|side| !side.is_multiple_of(4)) => {
+            return Plane { data: Cow::Borrowed(&image.texels[..length]), ..plain(image.size) };
+        }
+        (Compression::None, _) => return Plane { data: Cow::Borrowed(&image.texels[..length]), ..plain(image.size) },
+        (Compression::Small, true) => (wgpu::TextureFormat::Bc1RgbaUnormSrgb, CompressionVariant::BC1),
+        (Compression::Small, false) => (wgpu::TextureFormat::Bc3RgbaUnormSrgb, CompressionVariant::BC3),
+        (Compression::Fine, is_opaque) => {
+            let settings = if is_opaque { BC7Settings::opaque_ultra_fast() } else { BC7Settings::alpha_ultrafast() };
+            (wgpu::TextureFormat::Bc7RgbaUnormSrgb, CompressionVariant::BC7(settings))
+        }
+    };
+    let mut data = Vec::new();
+    for (size, texels) in image.levels() {
+        let level = blocks(format, variant, size, |at| core::array::from_fn(|i| texels[4 * at + i]));
+        data.extend_from_slice(&level.data);
+    }
+    Plane { format, size: image.size, data: Cow::Owned(data) }
+}
+
+/// Four bytes a texel, none yet.
+fn plain(size: [u32; 2]) -> Plane<'static> {
+    Plane { format: wgpu::TextureFormat::Rgba8UnormSrgb, size, data: Cow::Borrowed(&[]) }
 }
 
 /// Compresses an image, its last column and row repeated to whole blocks.
@@ -119,6 +149,35 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn textures_keep_their_mips_and_their_holes() {
+        let texels = |alpha: fn(u32) -> u8| {
+            let at = (0..64u32).flat_map(|i| [200, (3 * i) as u8, 90, alpha(i)]).collect();
+            TextureImage::with_mips([8, 8], at)
+        };
+        let (opaque, holed) = (texels(|_| 255), texels(|i| if i % 8 < 4 { 0 } else { 255 }));
+        // 8 × 8, 4 × 4, 2 × 2 and 1 × 1 texels are 4 + 1 + 1 + 1 blocks.
+        for (image, compression, bytes) in [
+            (&opaque, Compression::None, 4 * (64 + 16 + 4 + 1)),
+            (&opaque, Compression::Small, 7 * 8),
+            (&holed, Compression::Small, 7 * 16),
+            (&opaque, Compression::Fine, 7 * 16),
+            (&holed, Compression::Fine, 7 * 16),
+        ] {
+            let plane = levels(image, compression);
+            assert_eq!(plane.data.len(), bytes, "{compression:?}");
+            if compression == Compression::Small && bytes == 7 * 16 {
+                let mut decoded = vec![0; 256];
+                decompress_blocks_as_rgba8(CompressionVariant::BC3, 8, 8, &plane.data[..64], &mut decoded);
+                assert!(
+                    decoded.as_chunks::<4>().0.iter().enumerate().all(|(i, t)| t[3] == if i % 8 < 4 { 0 } else { 255 })
+                );
+            }
+        }
+        let odd = TextureImage::with_mips([6, 4], vec![255; 96]);
+        assert_eq!(levels(&odd, Compression::Fine).format, wgpu::TextureFormat::Rgba8UnormSrgb);
     }
 
     #[test]

@@ -95,6 +95,13 @@ impl Lattice {
         self.size.map(|side| side.div_ceil(4))
     }
 
+    /// How far a splat reaches from its sample along the world's axes, metres, however steep it is.
+    pub(crate) fn reach(&self) -> DVec3 {
+        // SLOPE_MAX of splat.wgsl.
+        let slope = 4.0;
+        self.radius() * self.pixel * (self.right.abs() + self.up.abs() + slope * self.towards_eye.abs())
+    }
+
     /// Radius of a disc that covers a pixel, in pixels: half the square's diagonal, and what the rounding of neighbours'
     /// depths can part them by, seen at 45° from the view.
     fn radius(&self) -> f64 {

@@ -1,7 +1,9 @@
 //! Triangles on the GPU: a buffer of vertices, one of indices, and a texture a part.
 
+use super::compress;
 use super::device::GpuError;
 use super::pipelines::{Layouts, Pipelines};
+use super::settings::Compression;
 use crate::scene::content::{Mesh, TextureImage};
 use glam::DVec3;
 use wgpu::util::DeviceExt;
@@ -48,27 +50,31 @@ impl Shared {
             ..Default::default()
         });
         let image = TextureImage { size: [1, 1], texels: vec![255; 4] };
-        Shared { sampler, white: texture(device, queue, &image) }
+        Shared { sampler, white: texture(device, queue, &image, Compression::None).0 }
     }
 }
 
-/// An image with the mips that it has.
-fn texture(device: &wgpu::Device, queue: &wgpu::Queue, image: &TextureImage) -> wgpu::TextureView {
-    let levels = image.levels().count();
-    let bytes: usize = image.levels().map(|(_, texels)| texels.len()).sum();
+/// An image with the mips that it has, and its bytes.
+fn texture(
+    device: &wgpu::Device,
+    queue: &wgpu::Queue,
+    image: &TextureImage,
+    compression: Compression,
+) -> (wgpu::TextureView, u64) {
+    let plane = compress::levels(image, compression);
     let descriptor = wgpu::TextureDescriptor {
         label: Some("texture"),
         size: wgpu::Extent3d { width: image.size[0], height: image.size[1], depth_or_array_layers: 1 },
-        mip_level_count: levels as u32,
+        mip_level_count: image.levels().count() as u32,
         sample_count: 1,
         dimension: wgpu::TextureDimension::D2,
-        format: wgpu::TextureFormat::Rgba8UnormSrgb,
+        format: plane.format,
         usage: wgpu::TextureUsages::TEXTURE_BINDING,
         view_formats: &[],
     };
     let order = wgpu::wgt::TextureDataOrder::LayerMajor;
-    let texture = device.create_texture_with_data(queue, &descriptor, order, &image.texels[..bytes]);
-    texture.create_view(&wgpu::TextureViewDescriptor::default())
+    let texture = device.create_texture_with_data(queue, &descriptor, order, &plane.data);
+    (texture.create_view(&wgpu::TextureViewDescriptor::default()), plane.data.len() as u64)
 }
 
 fn check(mesh: &Mesh, limits: &wgpu::Limits) -> Result<(), GpuError> {
@@ -102,10 +108,10 @@ fn check(mesh: &Mesh, limits: &wgpu::Limits) -> Result<(), GpuError> {
         }
     }
     for texture in &mesh.textures {
-        let [columns, rows] = texture.size.map(u64::from);
-        let expected = 4 * columns * rows;
-        if (texture.texels.len() as u64) < expected || expected == 0 {
-            return Err(GpuError::Content { what: "bytes of a texture", found: texture.texels.len() as u64, expected });
+        let (found, expected) = (texture.texels.len(), texture.levels().map(|(_, texels)| texels.len()).sum::<usize>());
+        if found != expected || expected == 0 {
+            let (found, expected) = (found as u64, expected as u64);
+            return Err(GpuError::Content { what: "bytes of a texture", found, expected });
         }
         let most = limits.max_texture_dimension_2d.into();
         let found = texture.size[0].max(texture.size[1]).into();
@@ -124,8 +130,11 @@ impl Triangles {
         layouts: &Layouts,
         shared: &Shared,
         mesh: &Mesh,
+        compression: Compression,
     ) -> Result<Option<Triangles>, GpuError> {
         check(mesh, &device.limits())?;
+        let has_blocks = device.features().contains(wgpu::Features::TEXTURE_COMPRESSION_BC);
+        let compression = if has_blocks { compression } else { Compression::None };
         if mesh.indices.len() < 3 || mesh.parts.is_empty() {
             return Ok(None);
         }
@@ -159,8 +168,9 @@ impl Triangles {
         };
         let mut groups: Vec<wgpu::BindGroup> = Vec::with_capacity(mesh.textures.len() + 1);
         for image in &mesh.textures {
-            groups.push(group(&texture(device, queue, image)));
-            bytes += image.texels.len() as u64;
+            let (view, size) = texture(device, queue, image, compression);
+            groups.push(group(&view));
+            bytes += size;
         }
         groups.push(group(&shared.white));
         let parts = mesh.parts.iter().enumerate().map(|(number, part)| DrawnPart {

@@ -83,6 +83,15 @@ impl Renderer {
     /// As [`Renderer::draw`], and what cannot be read back.
     pub fn picture(&mut self, view: &View, list: &DrawList) -> Result<(Picture, FrameCounts), GpuError> {
         let size = view.viewport;
+        self.read_back(size, |renderer, encoder, target| renderer.encode(encoder, view, list, target, size))
+    }
+
+    /// Encodes a frame of `size` pixels into a target of its own and reads it back.
+    pub(crate) fn read_back(
+        &mut self,
+        size: [u32; 2],
+        encode: impl FnOnce(&mut Renderer, &mut wgpu::CommandEncoder, &wgpu::TextureView) -> Result<FrameCounts, GpuError>,
+    ) -> Result<(Picture, FrameCounts), GpuError> {
         super::targets::fitting(&self.device.limits(), size, 1)?;
         let memory = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let colours = Readable::new(&self.device, self.format, size);
@@ -92,7 +101,7 @@ impl Renderer {
         }
         let mut encoder =
             self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("picture") });
-        let counts = self.encode(&mut encoder, view, list, &colours.view, size)?;
+        let counts = encode(self, &mut encoder, &colours.view)?;
         self.encode_distances(&mut encoder, &distances.view);
         colours.copy(&mut encoder);
         distances.copy(&mut encoder);

@@ -4,14 +4,17 @@ use super::device::{Faults, Gpu, GpuError};
 use super::distance::Distance;
 use super::item::{FrameUniform, ItemUniform};
 use super::meshes::{self, Triangles};
+use super::occlusion::{self, Occlusion, OcclusionCounts};
 use super::pipelines::{Layouts, Pipelines};
 use super::relative::Eye;
 use super::settings::RenderSettings;
 use super::splats::{Splats, shared_indices};
 use super::targets::{Targets, fitting};
 use crate::draw::list::DrawList;
+use crate::draw::tiles::tiles_in_view;
 use crate::scene::content::Content;
 use crate::scene::resident::Uploads;
+use foresight_scheduler::benefit::frustum::Frustum;
 use foresight_scheduler::lod_tree::{Aabb, RepId};
 use foresight_scheduler::view::View;
 use std::collections::BTreeMap;
@@ -22,7 +25,7 @@ const ITEMS_FIRST: usize = 256;
 /// What a frame was drawn with.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FrameCounts {
-    /// Samples of orthoviews.
+    /// Samples of orthoviews in tiles that the view meets, those that turned out to be hidden too ([`Renderer::occlusion`]).
     pub points: u64,
     /// Triangles of meshes.
     pub triangles: u64,
@@ -68,6 +71,9 @@ pub struct Renderer {
     /// Bytes from one item's uniforms to the next's.
     stride: usize,
     targets: Option<Targets>,
+    /// Whether the adapter can cull by occlusion at all.
+    can_cull: bool,
+    occlusion: Option<Occlusion>,
     uploaded: BTreeMap<RepId, Uploaded>,
     bytes: u64,
 }
@@ -124,6 +130,8 @@ impl Renderer {
             items_group,
             stride,
             targets: None,
+            can_cull: gpu.adapter.get_downlevel_capabilities().flags.contains(occlusion::NEEDS),
+            occlusion: None,
             uploaded: BTreeMap::new(),
             bytes: 0,
         }
@@ -147,8 +155,10 @@ impl Renderer {
         let made = match content {
             Content::Splats(image) => Splats::upload(device, queue, &self.layouts, image, self.settings.compression)
                 .map(|splats| splats.map(Uploaded::Splats)),
-            Content::Mesh(mesh) => Triangles::upload(device, queue, &self.layouts, &self.meshes, mesh)
-                .map(|triangles| triangles.map(Uploaded::Triangles)),
+            Content::Mesh(mesh) => {
+                Triangles::upload(device, queue, &self.layouts, &self.meshes, mesh, self.settings.compression)
+                    .map(|triangles| triangles.map(Uploaded::Triangles))
+            }
             Content::Empty => Ok(None),
         };
         if let Some(error) = pollster::block_on(memory.pop()) {
@@ -179,7 +189,7 @@ impl Renderer {
         self.bytes
     }
 
-    /// Boxes around the samples of an orthoview's 4 × 4 tiles, row by row upwards, metres in the world; empty where a
+    /// Boxes around the splats of an orthoview's 4 × 4 tiles, row by row upwards, metres in the world; empty where a
     /// tile shows nothing. `None` for what is not uploaded, or no orthoview.
     pub fn tile_bounds(&self, rep: RepId) -> Option<&[Aabb; 16]> {
         match self.uploaded.get(&rep)? {
@@ -194,6 +204,14 @@ impl Renderer {
             Uploaded::Splats(splats) => Some(&splats.tile_points),
             _ => None,
         }
+    }
+
+    /// What was drawn of the orthoviews of the last frame of which that is known; `None` without occlusion culling.
+    pub fn occlusion(&mut self) -> Option<OcclusionCounts> {
+        let occlusion = self.occlusion.as_mut()?;
+        drop(self.device.poll(wgpu::PollType::Poll));
+        occlusion.take_answers();
+        occlusion.counts()
     }
 
     /// Draws a list into a target of `size` pixels and of the renderer's format, the renderer's own depths beside it, and
@@ -237,6 +255,7 @@ impl Renderer {
             self.pipelines.insert(samples, (pipelines, distance));
         }
         let eye = Eye::new(view, size, self.settings.near);
+        let frustum = Frustum::new(&View { viewport: size, ..*view });
         let uniform = FrameUniform::new(&eye, &self.settings, size, self.format.is_srgb());
         self.queue.write_buffer(&self.frame, 0, bytemuck::bytes_of(&uniform));
         let drawn: Vec<_> = list.items.iter().filter_map(|item| Some((item, self.uploaded.get(&item.rep)?))).collect();
@@ -258,36 +277,35 @@ impl Renderer {
         let (Some(targets), Some((pipelines, _))) = (&self.targets, self.pipelines.get(&samples)) else {
             return Ok(FrameCounts::default());
         };
-        let (view, resolve_target) = match &targets.colours {
-            Some(colours) => (colours, Some(target)),
-            None => (target, None),
-        };
-        let store = if resolve_target.is_some() { wgpu::StoreOp::Discard } else { wgpu::StoreOp::Store };
-        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-            label: Some("frame"),
-            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-                view,
-                depth_slice: None,
-                resolve_target,
-                ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::BLACK), store },
-            })],
-            depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
-                view: &targets.depth,
-                depth_ops: Some(wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: wgpu::StoreOp::Store }),
-                stencil_ops: None,
-            }),
-            ..Default::default()
-        });
+        if self.can_cull && self.settings.occlusion {
+            drop(self.device.poll(wgpu::PollType::Poll));
+            let occlusion = self.occlusion.get_or_insert_with(|| Occlusion::new(&self.device));
+            occlusion.begin();
+        } else {
+            self.occlusion = None;
+        }
+        let mut pass = targets.pass(encoder, target, true, self.occlusion.is_none());
         pass.set_bind_group(0, &self.frame_group, &[]);
         let mut counts = FrameCounts::default();
+        // What is left of items after the test.
+        let mut rests = Vec::new();
         for (place, (item, uploaded)) in drawn.iter().enumerate() {
-            pass.set_bind_group(1, &self.items_group, &[(place * self.stride) as u32]);
+            let offset = (place * self.stride) as u32;
+            pass.set_bind_group(1, &self.items_group, &[offset]);
             match uploaded {
                 Uploaded::Splats(splats) => {
+                    let seen = tiles_in_view(&frustum, item, &splats.tile_bounds);
+                    let mut tiles = seen;
+                    if let Some(occlusion) = &mut self.occlusion {
+                        let rest;
+                        (tiles, rest) = occlusion.add(item.rep, seen, splats, &eye);
+                        counts.points += splats.points(seen & !tiles);
+                        rests.push((offset, splats, rest));
+                    }
                     pass.set_pipeline(&pipelines.splats);
                     pass.set_bind_group(2, &splats.group, &[]);
                     pass.set_index_buffer(self.corners.slice(..), wgpu::IndexFormat::Uint32);
-                    let [points, draws] = splats.draw(&mut pass, item.tiles);
+                    let [points, draws] = splats.draw(&mut pass, tiles);
                     counts.points += points;
                     counts.draws += draws;
                 }
@@ -297,6 +315,19 @@ impl Renderer {
                     counts.draws += draws;
                 }
                 Uploaded::Empty => {}
+            }
+        }
+        if let Some(occlusion) = &mut self.occlusion {
+            drop(pass);
+            occlusion.test(&self.device, &self.queue, encoder, targets, &eye);
+            pass = targets.pass(encoder, target, false, true);
+            pass.set_bind_group(0, &self.frame_group, &[]);
+            pass.set_pipeline(&pipelines.splats);
+            pass.set_index_buffer(self.corners.slice(..), wgpu::IndexFormat::Uint32);
+            for (offset, splats, rest) in rests.into_iter().filter(|(_, _, rest)| !rest.is_empty()) {
+                pass.set_bind_group(1, &self.items_group, &[offset]);
+                pass.set_bind_group(2, &splats.group, &[]);
+                counts.draws += occlusion.draw_rest(&mut pass, rest);
             }
         }
         pass.set_pipeline(&pipelines.sky);

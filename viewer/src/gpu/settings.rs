@@ -120,6 +120,8 @@ pub struct RenderSettings {
     pub samples: u32,
     /// What is nearer to the camera's plane than this is not drawn, metres; more than 0.
     pub near: f64,
+    /// Whether tiles of orthoviews that are hidden by others are left out, where the adapter can tell. It changes no picture.
+    pub occlusion: bool,
     /// Of orthoviews uploaded from now on; without effect where the adapter has no such blocks.
     pub compression: Compression,
 }
@@ -132,6 +134,7 @@ impl Default for RenderSettings {
             background: Background::default(),
             samples: 1,
             near: 0.1,
+            occlusion: true,
             compression: Compression::default(),
         }
     }

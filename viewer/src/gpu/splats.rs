@@ -31,7 +31,7 @@ pub(crate) fn shared_indices(device: &wgpu::Device) -> wgpu::Buffer {
 pub(crate) struct Splats {
     pub(crate) lattice: Lattice,
     pub(crate) group: wgpu::BindGroup,
-    /// Boxes around the samples of each tile, row by row upwards; empty where a tile shows nothing.
+    /// Boxes around the splats of each tile, row by row upwards; empty where a tile shows nothing.
     pub(crate) tile_bounds: [Aabb; 16],
     /// Samples in each tile that show something.
     pub(crate) tile_points: [u32; 16],
@@ -100,8 +100,27 @@ impl Splats {
             entries: &[entry(0, &colours), entry(1, &shapes), entry(2, &normals)],
         });
         let lattice = Lattice::new(image);
-        let (tile_bounds, tile_points) = tiles(image, lattice.tile());
+        let (mut tile_bounds, tile_points) = tiles(image, lattice.tile());
+        for bounds in tile_bounds.iter_mut().filter(|bounds| !bounds.is_empty()) {
+            *bounds = Aabb { min: bounds.min - lattice.reach(), max: bounds.max + lattice.reach() };
+        }
         Ok(Some(Splats { lattice, group, tile_bounds, tile_points, bytes }))
+    }
+
+    /// Samples in the tiles of a mask.
+    pub(crate) fn points(&self, mask: u16) -> u64 {
+        (0..16).filter(|tile| mask >> tile & 1 == 1).map(|tile| u64::from(self.tile_points[tile])).sum()
+    }
+
+    /// A tile's draws as an indirect draw takes them.
+    pub(crate) fn arguments(&self, tile: usize) -> impl Iterator<Item = [u32; 5]> + use<> {
+        let [columns, rows] = self.lattice.tile();
+        let area = columns * rows;
+        let first = tile as u32 * area;
+        (0..area.div_ceil(INDEXED_PIXELS)).map(move |part| {
+            let start = part * INDEXED_PIXELS;
+            [6 * (area - start).min(INDEXED_PIXELS), 1, 0, 4 * (first + start), 0]
+        })
     }
 
     /// Draws the tiles of a mask that show something, and counts points and draws. Neighbours in the order of tiles are
@@ -134,7 +153,7 @@ impl Splats {
     }
 }
 
-/// Box around the samples of each tile, and how many there are. A sample reaches half a pixel along the image's axes.
+/// Box around the samples of each tile, and how many there are. A sample is half a pixel along the image's axes.
 fn tiles(image: &SplatImage, tile: [u32; 2]) -> ([Aabb; 16], [u32; 16]) {
     let step = image.range / 1023.0;
     // Of each tile: least and greatest column, row and code of depth.

@@ -59,4 +59,36 @@ impl Targets {
             colours: (samples > 1).then(|| make("samples", format, attachment)),
         }
     }
+
+    /// A pass into `target`. The first of a frame clears what was there, the last makes pixels of samples.
+    pub(crate) fn pass<'e>(
+        &self,
+        encoder: &'e mut wgpu::CommandEncoder,
+        target: &wgpu::TextureView,
+        first: bool,
+        last: bool,
+    ) -> wgpu::RenderPass<'e> {
+        let (view, resolve_target) = match &self.colours {
+            Some(colours) => (colours, last.then_some(target)),
+            None => (target, None),
+        };
+        let store = if resolve_target.is_some() { wgpu::StoreOp::Discard } else { wgpu::StoreOp::Store };
+        let black = if first { wgpu::LoadOp::Clear(wgpu::Color::BLACK) } else { wgpu::LoadOp::Load };
+        let far = if first { wgpu::LoadOp::Clear(0.0) } else { wgpu::LoadOp::Load };
+        encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some("frame"),
+            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+                view,
+                depth_slice: None,
+                resolve_target,
+                ops: wgpu::Operations { load: black, store },
+            })],
+            depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
+                view: &self.depth,
+                depth_ops: Some(wgpu::Operations { load: far, store: wgpu::StoreOp::Store }),
+                stencil_ops: None,
+            }),
+            ..Default::default()
+        })
+    }
 }

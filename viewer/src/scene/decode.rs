@@ -50,7 +50,11 @@ pub fn decode(world: &World, source: &Source, rep: RepId, bytes: &[u8]) -> Resul
     if rep.index() >= world.tree.representations() {
         return Err(fault(format!("not there; expected one of {}", world.tree.representations())));
     }
-    let inflated = super::source::inflated(bytes).map_err(&fault)?;
+    let inflated = match source.placing() {
+        // What comes for it means nothing.
+        Placing::Made(_) => None,
+        _ => super::source::inflated(bytes).map_err(&fault)?,
+    };
     let bytes = inflated.as_deref().unwrap_or(bytes);
     let piece = match source.placing() {
         Placing::Stored { octree, pixel } => match world.tree.direction(rep) {
@@ -65,7 +69,7 @@ pub fn decode(world: &World, source: &Source, rep: RepId, bytes: &[u8]) -> Resul
             None => read_glb(bytes).map_err(|error| fault(error.to_string()))?,
         },
         Placing::Tiles(tiles) => tiles.read(rep, bytes).map_err(|error| fault(error.to_string()))?,
-        Placing::InWorld => read_glb(bytes).map_err(|error| fault(error.to_string()))?,
+        Placing::Made(made) => made.piece(world, rep).map_err(&fault)?,
         Placing::Nowhere(why) => return Err(fault((*why).to_owned())),
     };
     let credit = piece.credit.as_deref().or(source.credit()).map(Into::into);

@@ -233,6 +233,40 @@ fn a_generated_city_is_made_and_one_of_sizes_only_says_so() {
 }
 
 #[test]
+fn worlds_that_are_made_or_imported_whole_are_drawn_within_their_bounds() {
+    let recorded = [
+        "scenes/delft_lod1.city.json",
+        "scenes/zurich_subset_lod2.city.json",
+        "scenes/3dbag_tile5870.city.jsonl",
+        "scenes/jacksboro_fault_dem.npz",
+    ];
+    let made = ["terrain:size=3km,resolution=20m", "asteroids:count=12,triangles=300"].map(str::to_owned);
+    let recorded = recorded.into_iter().filter_map(data).map(|path| path.to_string_lossy().into_owned());
+    for name in made.into_iter().chain(recorded) {
+        let (world, source) = Source::open(&name).expect("a world");
+        assert_eq!(source.refusal(), None, "{name}");
+        let mut triangles = 0;
+        for rep in (0..world.tree.representations() as u32).map(RepId) {
+            // What a server sends in place of files means nothing.
+            let decoded = decode(&world, &source, rep, b"filler").unwrap_or_else(|error| panic!("{error}"));
+            let Content::Mesh(mesh) = decoded.content else { panic!("{name}: no mesh") };
+            let node = world.tree.bounds(world.tree.node_of(rep));
+            // Coarse levels may reach out by their error, and skirts by that of the tile above.
+            let slack =
+                2.0 * world.tree.error(RepId(0)).max(world.tree.error(rep)) + 1e-3 * (node.max - node.min).length();
+            assert!(
+                (mesh.bounds.min + slack).cmpge(node.min).all() && (mesh.bounds.max - slack).cmple(node.max).all(),
+                "{name} {}: {:?} in {node:?}",
+                world.uri(rep),
+                mesh.bounds
+            );
+            triangles += mesh.indices.len() / 3;
+        }
+        assert!(triangles > 1000, "{name}: {triangles}");
+    }
+}
+
+#[test]
 fn files_outside_of_the_folder_are_not_read() {
     let folder = tempfile::tempdir().expect("a folder");
     std::fs::write(folder.path().join("secret"), "12345678").expect("a file");

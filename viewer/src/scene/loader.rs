@@ -329,11 +329,12 @@ mod tests {
         let (world, source) = city();
         let settings = LoaderSettings { workers: 1, waiting_max: 2, finished_bytes_max: 1 };
         let loader = Loader::new(world, source, settings).expect("a thread");
-        let nonsense = Input::Bytes(Bytes::from_static(b"glTF and no more"));
-        assert_eq!(loader.ask(RepId(0), 0.0, nonsense), None);
-        let loaded = loader.wait();
-        let error = loaded[0].result.as_ref().expect_err("nonsense");
-        assert!(error.contains("representation 0 (") && error.contains("expected"), "{error}");
+        for input in [Input::Source, Input::Bytes(Bytes::from_static(b"glTF"))] {
+            assert_eq!(loader.ask(RepId(1 << 30), 0.0, input), None);
+            let loaded = loader.wait();
+            let error = loaded[0].result.as_ref().expect_err("no such one");
+            assert!(error.contains("representation 1073741824 (") && error.contains("expected"), "{error}");
+        }
         let refused: Vec<RepId> =
             (0..40).filter_map(|rep| loader.ask(RepId(rep), -f64::from(rep), Input::Source)).collect();
         assert!(refused.len() >= 30 && !refused.contains(&RepId(0)), "{refused:?}");

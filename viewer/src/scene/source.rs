@@ -1,13 +1,17 @@
 //! Where contents come from, and where in the world they stand: a world's folder, or a generated world whose contents are made when they
 //! are asked for.
 
+use foresight_index::generate::asteroids::{AsteroidContents, AsteroidParams};
 use foresight_index::generate::city::CityParams;
 use foresight_index::generate::city::geometry::CityContents;
-use foresight_index::generate::document::{GenerateError, from_parts, parse};
+use foresight_index::generate::document::{GenerateError, Params, from_parts, parse};
+use foresight_index::import::cityjson::CityModelContents;
 use foresight_index::import::tiles3d::TileContents;
 use foresight_index::octree::Octree;
 use foresight_index::specification::{self, is_specification};
 use foresight_index::stored;
+use foresight_index::surface::{Piece, read_glb};
+use foresight_index::terrain::tile_surface;
 use foresight_index::world::{self, World, WorldError, WorldKind};
 use foresight_scheduler::lod_tree::RepId;
 use std::io::Read;
@@ -29,10 +33,36 @@ pub enum Placing {
     },
     /// A tileset's, each with the transform of its tile.
     Tiles(Box<TileContents>),
-    /// Meshes in the world's own coordinates.
-    InWorld,
+    /// Made here, whatever comes over the network: a generated world, or a file that is imported whole.
+    Made(Made),
     /// There are none: why.
     Nowhere(&'static str),
+}
+
+/// Contents that are made when they are asked for.
+#[derive(Debug)]
+pub enum Made {
+    /// A generated city.
+    City(CityContents),
+    /// A generated field of models.
+    Asteroids(AsteroidContents),
+    /// A city model.
+    CityModel(CityModelContents),
+    /// Terrain, generated or from a grid: its ground's surface.
+    Terrain,
+}
+
+impl Made {
+    /// What a representation shows.
+    pub(super) fn piece(&self, world: &World, rep: RepId) -> Result<Piece, String> {
+        let made = match self {
+            Made::City(city) => return read_glb(&city.content(&world.tree, rep)).map_err(|error| error.to_string()),
+            Made::Asteroids(field) => field.piece(&world.uri(rep)),
+            Made::CityModel(model) => model.piece(rep),
+            Made::Terrain => tile_surface(world, rep),
+        };
+        made.ok_or_else(|| "nothing is made there; expected a representation of the world".to_owned())
+    }
 }
 
 /// What brings bytes.
@@ -40,7 +70,7 @@ pub enum Placing {
 enum Bytes {
     Folder(PathBuf),
     Tiles,
-    City(CityContents),
+    /// None are needed, or there are none.
     None,
 }
 
@@ -76,10 +106,15 @@ impl Source {
             let (kind, rest) = name.split_once(':').unwrap_or((name, ""));
             return match kind {
                 "city" => Source::city(&from_parts::<CityParams>(rest)?),
+                "asteroids" => Source::asteroids(&from_parts::<AsteroidParams>(rest)?),
                 "mosaic" => Source::mosaic(rest, name),
                 _ => {
                     let world = specification::open(name, &(Arc::new(|_, _| {}) as specification::Progress))?;
-                    Ok((world, Source::sizes_only()))
+                    let source = match world.kind {
+                        WorldKind::GeneratedTerrain => Source::made(Made::Terrain),
+                        _ => Source::sizes_only(),
+                    };
+                    Ok((world, source))
                 }
             };
         }
@@ -96,14 +131,13 @@ impl Source {
                 let (world, tiles) = TileContents::open(&file)?;
                 Ok((world, Source::tiles(tiles)))
             }
-            WorldKind::City => {
-                let file = if path.is_dir() { path.join("city.json") } else { path.to_owned() };
-                let io = |source| WorldError::Io { file: file.clone(), source };
-                let params = parse(&std::fs::read(&file).map_err(io)?);
-                let params = params.map_err(|source| GenerateError::File { file: file.clone(), source })?;
-                Source::city(&params)
+            WorldKind::City => Source::city(&document(path)?),
+            WorldKind::Asteroids => Source::asteroids(&document(path)?),
+            WorldKind::CityJson => {
+                let (world, contents) = CityModelContents::open(path)?;
+                Ok((world, Source::made(Made::CityModel(contents))))
             }
-            _ => Ok((world, Source::sizes_only())),
+            WorldKind::Terrain | WorldKind::GeneratedTerrain => Ok((world, Source::made(Made::Terrain))),
         }
     }
 
@@ -128,10 +162,19 @@ impl Source {
     fn city(params: &CityParams) -> Result<(World, Source), WorldError> {
         let (world, contents) = CityContents::open(params)?;
         let source = match contents {
-            Some(contents) => Source { placing: Placing::InWorld, bytes: Bytes::City(contents), credit: None },
+            Some(contents) => Source::made(Made::City(contents)),
             None => Source::sizes_only(),
         };
         Ok((world, source))
+    }
+
+    fn asteroids(params: &AsteroidParams) -> Result<(World, Source), WorldError> {
+        let (world, contents) = AsteroidContents::open(params)?;
+        Ok((world, Source::made(Made::Asteroids(contents))))
+    }
+
+    fn made(made: Made) -> Source {
+        Source { placing: Placing::Made(made), bytes: Bytes::None, credit: None }
     }
 
     fn mosaic(rest: &str, name: &str) -> Result<(World, Source), WorldError> {
@@ -168,7 +211,7 @@ impl Source {
         self.credit.as_deref()
     }
 
-    /// The bytes of a representation as they are stored.
+    /// The bytes of a representation as they are stored; none for what is made.
     ///
     /// # Errors
     /// A file that is not there, lies outside of the world's folder or has another length than the world says; a world without contents.
@@ -190,10 +233,17 @@ impl Source {
             (Bytes::Tiles, Placing::Tiles(tiles)) => {
                 tiles.bytes(rep).map_err(|error| fault(format!("{error}; expected a file")))
             }
-            (Bytes::City(city), _) => Ok(city.content(&world.tree, rep)),
+            (Bytes::None, Placing::Made(_)) => Ok(Vec::new()),
             _ => Err(fault(SIZES_ONLY.to_owned())),
         }
     }
+}
+
+/// The parameters of a generated world whose document, or its folder, is at `path`.
+fn document<P: Params>(path: &Path) -> Result<P, WorldError> {
+    let file = if path.is_dir() { path.join(P::FILE_NAME) } else { path.to_owned() };
+    let bytes = std::fs::read(&file).map_err(|source| WorldError::Io { file: file.clone(), source })?;
+    Ok(parse(&bytes).map_err(|source| GenerateError::File { file, source })?)
 }
 
 /// The bytes of a file in a folder; links that lead out of it are not followed.

@@ -8,12 +8,13 @@ use crate::fetch::Http;
 use crate::summary::Summary;
 use foresight_traces::flight::tick_time;
 use foresight_wire::message::Fetch;
-use std::collections::BTreeMap;
 
 /// A session that is drawn.
 pub struct Drawn<'a> {
     /// What it has in common with others.
     pub plan: &'a Plan,
+    /// Representations of the world that is drawn: a server's world with another number is another world.
+    pub representations: usize,
     /// Where the camera is and contents go.
     pub exchange: &'a Exchange,
     /// The program's clock.
@@ -30,8 +31,9 @@ const TICKS_PER_STATUS: u64 = 6;
 /// # Errors
 /// When the server cannot be reached in the beginning, or refuses the session for good.
 pub async fn fly_drawn(drawn: Drawn<'_>) -> Result<Summary, FlightError> {
-    let Drawn { plan, exchange, clock, http } = drawn;
-    let mut session = Session::new(plan, Eye::Hand(exchange), Some(exchange), clock, http);
+    let Drawn { plan, representations, exchange, clock, http } = drawn;
+    let new = Session::new(plan, Eye::Hand(exchange), Some(exchange), clock, http);
+    let mut session = Session { representations: Some(representations), ..new };
     session.begin().await?;
     let mut tick = 0;
     while !exchange.is_left() {
@@ -92,7 +94,6 @@ impl Session<'_> {
             waiting: self.waiting.clone(),
             failed: self.failed.values().sum(),
             failure: self.failure.clone(),
-            benefits: BTreeMap::new(),
         }
     }
 }

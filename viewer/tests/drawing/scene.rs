@@ -20,9 +20,10 @@ pub(crate) fn gpu() -> Option<Gpu> {
     }
 }
 
-/// A renderer of pictures before pure blue.
+/// A renderer of pictures before pure blue, of all that is in the list.
 pub(crate) fn renderer(gpu: &Gpu) -> Renderer {
-    let settings = RenderSettings { background: Background::Plain([0, 0, 255]), ..RenderSettings::default() };
+    let settings =
+        RenderSettings { background: Background::Plain([0, 0, 255]), occlusion: false, ..RenderSettings::default() };
     Renderer::new(gpu, settings, wgpu::TextureFormat::Rgba8UnormSrgb)
 }
 

@@ -137,7 +137,7 @@ impl Tiles {
 }
 
 /// What a cell's merged mesh is made of: its models, or where they are too many a cluster for each occupied part.
-fn stand_ins(models: &[Model], cell: &Cell) -> Vec<(u16, usize, DVec3, f64)> {
+pub(super) fn stand_ins(models: &[Model], cell: &Cell) -> Vec<(u16, usize, DVec3, f64)> {
     if let Some(n) = merged_segments(models.len() as u64) {
         return models.iter().map(|model| (model.kind, n as usize - 1, model.at, model.radius)).collect();
     }

@@ -6,11 +6,15 @@
 //! merged, each of a few triangles, or where there are too many for that, as clusters. Where the models lie, how large
 //! they are and how much they matter is drawn from the seed; the paper tells none of that.
 
+#[cfg(feature = "orthoviews")]
+mod contents;
 mod geometry;
 mod shape;
 #[cfg(feature = "orthoviews")]
 mod surfaces;
 
+#[cfg(feature = "orthoviews")]
+pub use contents::AsteroidContents;
 pub use geometry::{MAX_WRITTEN_TILES, write};
 #[cfg(feature = "orthoviews")]
 pub use surfaces::AsteroidSurfaces;

@@ -15,8 +15,8 @@ use crate::surface::{PIECE_TRIANGLES, Piece, SurfaceSource, parameters_identity}
 use crate::world::Georeference;
 
 /// Linear light of landmarks and of all others.
-const BRIGHT: [f32; 3] = [0.45, 0.4, 0.33];
-const GREY: [f32; 3] = [0.17, 0.165, 0.16];
+pub(super) const BRIGHT: [f32; 3] = [0.45, 0.4, 0.33];
+pub(super) const GREY: [f32; 3] = [0.17, 0.165, 0.16];
 
 /// The surfaces of a field.
 pub struct AsteroidSurfaces {

@@ -5,6 +5,8 @@
 //! x east, y north, z up, metres. The same file gives the same world wherever the simplifier computes in plain
 //! single precision, without fused multiply-add: on every x86-64.
 
+#[cfg(feature = "orthoviews")]
+mod contents;
 mod document;
 mod georeference;
 mod items;
@@ -23,11 +25,14 @@ use std::path::{Path, PathBuf};
 use foresight_scheduler::lod_tree::{LodTreeBuilder, LodTreeError, Representation};
 use glam::DVec3;
 
+#[cfg(feature = "orthoviews")]
+pub use contents::CityModelContents;
 pub use model::Model;
 #[cfg(feature = "orthoviews")]
 pub use surfaces::CityModelSurfaces;
 
 use crate::ground::{Ground, GroundSurface};
+use crate::mesh::Mesh;
 use crate::uris::UriTableBuilder;
 use crate::world::{Note, Severity, World, WorldKind};
 use tiles::Tile;
@@ -84,6 +89,11 @@ pub fn parse(bytes: &[u8], file: &str) -> Result<Model, CityJsonFault> {
 
 /// Opens the world that a file holds.
 pub fn open(file: &Path) -> Result<World, CityJsonError> {
+    Ok(opened(file)?.0)
+}
+
+/// A world with the mesh of each representation.
+fn opened(file: &Path) -> Result<(World, Vec<Mesh>), CityJsonError> {
     let bytes = std::fs::read(file).map_err(|source| CityJsonError::Io { file: file.to_owned(), source })?;
     let fault = |source| CityJsonError::Fault { file: file.to_owned(), source };
     let name = file.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
@@ -96,9 +106,14 @@ pub fn open(file: &Path) -> Result<World, CityJsonError> {
             "nothing is left at the precision of 32-bit floats; expected a surface",
         ))
     })?;
-    let mut out =
-        Output { builder: LodTreeBuilder::default(), uris: UriTableBuilder::default(), left_out: 0, loose: 0 };
-    let tree = out.tile(&root, f32::INFINITY, "r").and_then(|()| out.builder.finish());
+    let mut out = Output {
+        builder: LodTreeBuilder::default(),
+        uris: UriTableBuilder::default(),
+        meshes: Vec::new(),
+        left_out: 0,
+        loose: 0,
+    };
+    let tree = out.tile(root, f32::INFINITY, "r").and_then(|()| out.builder.finish());
     let tree = tree.map_err(|source| CityJsonError::Tree { file: file.to_owned(), source })?;
     let ground = ground(&model, &items);
     let mut notes = model.notes;
@@ -111,7 +126,7 @@ pub fn open(file: &Path) -> Result<World, CityJsonError> {
         let text = format!("{} errors are upper bounds that may be well above the true ones", out.loose);
         notes.push(Note { severity: Severity::Trap, file: name.clone(), place: String::new(), text });
     }
-    Ok(World {
+    let world = World {
         name: name.split('.').next().unwrap_or_default().to_owned(),
         kind: WorldKind::CityJson,
         tree,
@@ -120,7 +135,8 @@ pub fn open(file: &Path) -> Result<World, CityJsonError> {
         ground,
         georeference: model.georeference,
         notes,
-    })
+    };
+    Ok((world, out.meshes))
 }
 
 /// The ground: terrain if there is any, else surfaces of land use, transport and water; else the lowest corner of each object.
@@ -152,6 +168,7 @@ fn ground(model: &Model, items: &[items::Item]) -> Ground {
 struct Output {
     builder: LodTreeBuilder,
     uris: UriTableBuilder,
+    meshes: Vec<Mesh>,
     left_out: u64,
     loose: u64,
 }
@@ -159,10 +176,11 @@ struct Output {
 impl Output {
     /// Writes a tile; levels with an error larger than `above`, the least at the tiles above, are left out. Recursion is
     /// as deep as the packing, which at least halves.
-    fn tile(&mut self, tile: &Tile, above: f32, path: &str) -> Result<(), LodTreeError> {
+    fn tile(&mut self, tile: Tile, above: f32, path: &str) -> Result<(), LodTreeError> {
         self.builder.open()?;
         let mut least = above;
-        for (number, level) in tile.levels.iter().enumerate() {
+        let (is_leaf, count) = (tile.children.is_empty(), tile.levels.len());
+        for (number, level) in tile.levels.into_iter().enumerate() {
             let error = narrow_up(level.error);
             if error > above {
                 self.left_out += 1;
@@ -175,16 +193,17 @@ impl Output {
                 prerequisite: None,
                 direction: None,
             })?;
-            let tail = if tile.levels.len() > 1 { format!("{path}-{number}.glb") } else { format!("{path}.glb") };
+            let tail = if count > 1 { format!("{path}-{number}.glb") } else { format!("{path}.glb") };
             let (prefix, tail) = (self.uris.intern("tiles/"), self.uris.intern(&tail));
             self.uris.push(prefix, tail);
+            self.meshes.push(level.mesh);
             self.loose += u64::from(level.is_loose);
             least = least.min(error);
         }
-        for (number, child) in tile.children.iter().enumerate() {
+        for (number, child) in tile.children.into_iter().enumerate() {
             self.tile(child, least, &format!("{path}{number}"))?;
         }
-        self.builder.close(tile.children.is_empty().then_some(tile.bounds), 1.0)
+        self.builder.close(is_leaf.then_some(tile.bounds), 1.0)
     }
 }
 

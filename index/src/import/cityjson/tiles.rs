@@ -21,9 +21,10 @@ const DENSE: f64 = 1.0 / 16.0;
 /// unless the tile is no longer than this, metres.
 const COMPACT: f64 = 100.0;
 
-/// A representation's sizes and error.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// A representation's mesh, its sizes and its error.
+#[derive(Clone, Debug)]
 pub(super) struct Level {
+    pub(super) mesh: Mesh,
     pub(super) wire_bytes: u32,
     pub(super) decoded_bytes: u32,
     /// Metres, an upper bound of the distance from the finest surface ([`distance`]).
@@ -136,14 +137,17 @@ impl Packer<'_> {
         let mesh = Mesh::weld(origin, source.iter().copied());
         let (wire_bytes, decoded_bytes) = mesh.sizes()?;
         let least_error = mesh.narrowing;
-        let mut levels = vec![Level { wire_bytes, decoded_bytes, error: least_error, is_loose: false }];
+        let mut levels =
+            vec![Level { mesh: mesh.clone(), wire_bytes, decoded_bytes, error: least_error, is_loose: false }];
         let mut coarsest = mesh.triangles.len();
         let mut add = |mesh: &Mesh, share: f64, error: Option<Bracket>| {
-            let finer = levels[levels.len() - 1];
-            let sizes = mesh.sizes().filter(|&(wire, _)| f64::from(wire) < share * f64::from(finer.wire_bytes));
+            let Some((finer_bytes, finer_error)) = levels.last().map(|finer| (finer.wire_bytes, finer.error)) else {
+                return;
+            };
+            let sizes = mesh.sizes().filter(|&(wire, _)| f64::from(wire) < share * f64::from(finer_bytes));
             let Some(sizes) = sizes else { return };
             if let Some(error) = error.or_else(|| distance::error(&mesh.corners(), &finest)) {
-                levels.push(level(sizes, error, finer.error));
+                levels.push(level(mesh.clone(), sizes, error, finer_error));
                 coarsest = coarsest.min(mesh.triangles.len());
             }
         };
@@ -167,8 +171,8 @@ fn fewer(mesh: &Mesh, coarsest: usize, finest: &[Original]) -> Option<(Mesh, Bra
     simplified(mesh, (coarsest / KEPT).min(MAX_TILE_TRIANGLES), finest)
 }
 
-fn level((wire_bytes, decoded_bytes): (u32, u32), bracket: Bracket, least: f64) -> Level {
-    Level { wire_bytes, decoded_bytes, error: bracket.upper.max(least), is_loose: !bracket.is_tight }
+fn level(mesh: Mesh, (wire_bytes, decoded_bytes): (u32, u32), bracket: Bracket, least: f64) -> Level {
+    Level { mesh, wire_bytes, decoded_bytes, error: bracket.upper.max(least), is_loose: !bracket.is_tight }
 }
 
 /// A tile above others: what is beneath it, simplified and compared with the finest there is beneath it. Without a
@@ -186,18 +190,18 @@ fn inner(bounds: Aabb, mut children: Vec<Packed>) -> Option<Packed> {
     let found = fewer(&mesh, coarsest, &finest).and_then(|(mesh, error)| {
         let sizes = mesh.sizes().filter(|&(wire, _)| f64::from(wire) <= WORTHWHILE * below_bytes as f64)?;
         let corners = mesh.corners();
-        let own = level(sizes, error, least_error);
+        let own = level(mesh, sizes, error, least_error);
         Some((own, corners))
     });
     let children: Vec<Tile> = children.into_iter().map(|child| child.tile).collect();
     Some(match found {
         Some((own, source)) => Packed {
+            source_bytes: u64::from(own.wire_bytes),
+            least_error: own.error,
             tile: Tile { bounds, levels: vec![own], children },
             finest,
             coarsest: source.len(),
             source,
-            source_bytes: u64::from(own.wire_bytes),
-            least_error: own.error,
         },
         None => {
             let tile = Tile { bounds, levels: Vec::new(), children };

@@ -10,7 +10,7 @@ use super::content::{self, ContentError, ContentKind};
 use super::instances;
 use super::resolve::{Folder, folder_of};
 use super::walk::Variant;
-use super::{Loaded, MAX_TILES, Places, Tiles3dError};
+use super::{GltfUp, Loaded, MAX_TILES, Places, Tiles3dError};
 use crate::surface::{Piece, gltf};
 use crate::world::World;
 
@@ -81,7 +81,7 @@ impl TileContents {
         let linear = self.places.linears.get(variant.linear as usize).copied().unwrap_or(DMat3::IDENTITY);
         let tile = DMat4::from_translation(translation) * DMat4::from_mat3(linear);
         let reader = Reader {
-            folder: &self.folder,
+            folder: Some(&self.folder),
             tile,
             up: variant.up.rotation(),
             with_normals: true,
@@ -91,9 +91,19 @@ impl TileContents {
     }
 }
 
+/// What a content shows by itself, z up, files beside it left out.
+///
+/// # Errors
+/// As [`TileContents::read`].
+pub fn content_surface(bytes: &[u8]) -> Result<Piece, ContentError> {
+    let (tile, up) = (DMat4::IDENTITY, GltfUp::Y.rotation());
+    Reader { folder: None, tile, up, with_normals: true, triangles_max: DRAWN_TRIANGLES_MAX }.read("", bytes)
+}
+
 /// Reads contents of one tile.
 pub(super) struct Reader<'a> {
-    pub(super) folder: &'a Folder,
+    /// Where files beside a content are; without it none are.
+    pub(super) folder: Option<&'a Folder>,
     /// From the tile's axes to the world.
     pub(super) tile: DMat4,
     /// From glTF axes to the tile's.
@@ -146,13 +156,17 @@ impl Reader<'_> {
         match model {
             instances::Model::Inside(bytes) => self.model(base, bytes, &places, out),
             instances::Model::At(uri) => {
-                let (_, bytes) = self.folder.fetch(base, &uri).ok_or_else(|| {
+                let bytes = self.beside(base, &uri).ok_or_else(|| {
                     ContentError::new("byte 32", format!("the model {uri:?}, which is not there; expected a file"))
                 })?;
                 let base = folder_of(&format!("{base}{uri}")).to_owned();
                 self.model(&base, &bytes, &places, out)
             }
         }
+    }
+
+    fn beside(&self, base: &str, uri: &str) -> Option<Vec<u8>> {
+        Some(self.folder?.fetch(base, uri)?.1)
     }
 
     /// A model at some places in the tile.
@@ -165,7 +179,7 @@ impl Reader<'_> {
         if worlds.iter().any(|world| !world.is_finite()) {
             return Err(ContentError::new("its places", "not all finite; expected numbers"));
         }
-        let fetch = |uri: &str| self.folder.fetch(base, uri).map(|(_, bytes)| bytes);
+        let fetch = |uri: &str| self.beside(base, uri);
         let reading = gltf::Reading {
             places: &worlds,
             with_normals: self.with_normals,
@@ -250,13 +264,10 @@ mod tests {
         let piece = read(&composite, moved()).expect("a content");
         assert_eq!((piece.triangles.len(), piece.normals.len()), (8, 8));
         assert_eq!(piece.triangles[4].corners[0], DVec3::new(993.0, 0.0, 0.5));
-        let nowhere = Folder { source: super::super::Source::Files("absent".into()), manifest: None };
-        let (tile, up) = (DMat4::IDENTITY, DMat3::IDENTITY);
-        let reader = Reader { folder: &nowhere, tile, up, with_normals: true, triangles_max: 1000 };
         for (whole, name) in [(&inside, "i3dm"), (&composite, "cmpt")] {
-            assert!(reader.read("x", whole).is_ok());
+            assert!(content_surface(whole).is_ok());
             for length in 0..whole.len() {
-                assert!(reader.read("x", &whole[..length]).is_err(), "{name} cut to {length} bytes");
+                assert!(content_surface(&whole[..length]).is_err(), "{name} cut to {length} bytes");
             }
         }
     }

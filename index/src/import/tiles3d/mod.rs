@@ -33,7 +33,7 @@ use foresight_scheduler::lod_tree::{LodTreeError, RepId};
 
 pub use content::{ContentError, ContentKind, ContentSummary, content_summary};
 #[cfg(feature = "orthoviews")]
-pub use contents::{DRAWN_TRIANGLES_MAX, TileContents};
+pub use contents::{DRAWN_TRIANGLES_MAX, TileContents, content_surface};
 pub use document::{Content, DocumentError, GltfUp, ImplicitTiling, Refine, Tile, TilesetDocument, parse_tileset};
 #[cfg(feature = "http")]
 pub use http::open as open_url;

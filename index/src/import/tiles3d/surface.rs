@@ -88,7 +88,7 @@ impl SurfaceSource for FinestContents {
         let bytes = self.folder.read(file).map_err(|error| at(format!("{error}; expected a content")))?;
         let linear = self.walked.linears[variant.linear as usize];
         let reader = Reader {
-            folder: &self.folder,
+            folder: Some(&self.folder),
             tile: DMat4::from_translation(node.translation) * DMat4::from_mat3(linear),
             up: variant.up.rotation(),
             with_normals: false,

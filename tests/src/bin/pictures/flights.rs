@@ -12,7 +12,7 @@ use foresight_traces::client::ClientSettings;
 use foresight_traces::flight::{Flight, TICKS_PER_SECOND};
 use foresight_traces::link::LinkTrace;
 use foresight_viewer::draw::choose::ChooseSettings;
-use foresight_viewer::gpu::{GpuSettings, Picture};
+use foresight_viewer::gpu::{GpuSettings, Light, Picture, RenderSettings};
 use foresight_viewer::headless::{Against, Headless, Shown, Summary, fly};
 use foresight_viewer::offscreen::Offscreen;
 use foresight_viewer::scene::source::Source;
@@ -33,6 +33,8 @@ pub(crate) struct Scene {
     pub(crate) world: foresight_index::world::World,
     pub(crate) source: Source,
     pub(crate) flight: Flight,
+    /// Whether the sun shines: light and shadow are not in the colours.
+    pub(crate) is_lit: bool,
 }
 
 /// A policy on a link, to be flown.
@@ -51,7 +53,8 @@ pub(crate) struct Run<'a> {
 }
 
 impl Scene {
-    /// `world` is what a command line names, `path` is as `--path` has it, and `words` are its options, such as `--place`.
+    /// `world` is what a command line names, `path` is as `--path` has it, the built-in flight if
+    /// empty, and `words` are its options, such as `--place`.
     pub(crate) fn open(name: String, world: &str, path: &str, words: &str, size: [u32; 2]) -> Result<Scene, Fault> {
         let (world, source) = Source::open(world).map_err(|error| Fault::new(&name, error))?;
         if let Some(why) = source.refusal() {
@@ -59,17 +62,19 @@ impl Scene {
         }
         let args = Words::try_parse_from(std::iter::once("path").chain(words.split_whitespace()));
         let args = args.map_err(|error| Fault::new(&name, error))?.path;
-        let path = arguments::open_path(Some(path), &args).map_err(|error| Fault::new(&name, format!("{error:#}")))?;
+        let path = arguments::open_path(Some(path).filter(|path| !path.is_empty()), &args)
+            .map_err(|error| Fault::new(&name, format!("{error:#}")))?;
         let mut flight = arguments::place(&path, &world, false, &args)
             .map_err(|error| Fault::new(&name, format!("{error:#}")))?
             .flight;
         flight.views.iter_mut().for_each(|view| view.viewport = size);
-        Ok(Scene { name, world, source, flight })
+        Ok(Scene { name, world, source, flight, is_lit: false })
     }
 
     /// Adapter and renderer for it.
     pub(crate) fn offscreen(&self) -> Result<Offscreen<'_>, Fault> {
-        let settings = Offscreen::settings(&self.world);
+        let light = if self.is_lit { Offscreen::sun(&self.world) } else { Light::Unlit };
+        let settings = RenderSettings { light, ..Offscreen::settings(&self.world) };
         Offscreen::new(&self.world, &self.source, &GpuSettings::default(), settings).map_err(|e| Fault::new("GPU", e))
     }
 

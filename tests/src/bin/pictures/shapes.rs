@@ -22,8 +22,10 @@ use std::collections::BTreeSet;
 /// Degrees between the view and the one orthoview; the last is the figure's.
 const ANGLES: [f64; 3] = [20.0, 45.0, 70.0];
 
-/// Pixels a side of the tree's cell.
-const PIXELS: u32 = 448;
+/// Pixels a side of the tree's cell by rows of the picture: it stays within it.
+fn pixels(size: [u32; 2]) -> u32 {
+    (size[1] * 14 / 15).max(16)
+}
 
 /// A camera on a circle around the tree, `degrees` from the orthoview's direction, where a sample is about a pixel wide.
 pub(crate) fn view(degrees: f64, size: [u32; 2]) -> View {
@@ -33,7 +35,7 @@ pub(crate) fn view(degrees: f64, size: [u32; 2]) -> View {
     let right = DVec3::Z.cross(back).normalize();
     let orientation = DQuat::from_mat3(&DMat3::from_cols(right, back.cross(right), back)).normalize();
     let fov_y = 50f64.to_radians();
-    let pixel = tree::SIDE / f64::from(PIXELS);
+    let pixel = tree::SIDE / f64::from(pixels(size));
     let away = pixel * f64::from(size[1]) / (2.0 * libm::tan(0.5 * fov_y));
     View { position: tree::MIDDLE + away * back, orientation, fov_y, viewport: size }
 }
@@ -68,12 +70,12 @@ fn of_the_tree(size: [u32; 2], findings: &mut Findings) -> Result<(), Fault> {
     let gpu = Gpu::open(&GpuSettings::default()).map_err(fault)?;
     let mut renderer = Renderer::new(&gpu, RenderSettings { samples: 4, ..RenderSettings::default() }, FORMAT);
     let direction = Direction::from_signs([0, -1, 0]).ok_or_else(|| Fault::new("−y", "no direction"))?;
-    let title = format!("One orthoview of {PIXELS} pixels, turned away from the camera, on {}", gpu.name());
+    let title = format!("One orthoview of {} pixels, turned away from the camera, on {}", pixels(size), gpu.name());
     let mut table = Table::new(title, &COLUMNS);
     for (name, triangles) in
         [("wall", tree::wall()), ("tree", tree::tree()), ("tree beside wall", tree::tree_beside_wall())]
     {
-        let image = tree::orthoview(&triangles, direction, PIXELS).ok_or_else(|| Fault::new(name, "not seen"))?;
+        let image = tree::orthoview(&triangles, direction, pixels(size)).ok_or_else(|| Fault::new(name, "not seen"))?;
         renderer.upload(RepId(0), &Content::Splats(image)).map_err(fault)?;
         renderer.upload(RepId(1), &Content::Mesh(tree::mesh(&triangles))).map_err(fault)?;
         for degrees in ANGLES {

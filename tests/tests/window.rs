@@ -1,0 +1,183 @@
+//! A real window: driven from the keyboard, looked at, resized, its device and its server taken away, closed.
+//!
+//! Pictures of the screen are kept under `FORESIGHT_PICTURES`, if that names a folder.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use foresight_tests::desktop::{Desktop, Screen};
+use foresight_tests::program::{self, Ended};
+use foresight_tests::sidecar::process::Server;
+
+/// What the panels leave free of a window of 800 × 600 pixels in the screen's corner.
+const MIDDLE: [u32; 4] = [360, 300, 180, 180];
+
+/// Options of every window: no panels in the way of a whole picture are pressed away by keys.
+const SIZE: [&str; 4] = ["--viewport", "800x600", "--frame-time", "0"];
+
+fn pictures(folder: &Path) -> PathBuf {
+    match std::env::var_os("FORESIGHT_PICTURES") {
+        Some(kept) => PathBuf::from(kept),
+        None => folder.to_owned(),
+    }
+}
+
+/// A city with its geometry and textures, in files.
+fn city(folder: &Path) {
+    let words = ["generate", "city", "--blocks", "2", "--out", "city"];
+    let made = program::run("foresight-sim", folder, &words, &[], Duration::from_secs(300));
+    assert_eq!(made.code, Some(0), "{}", made.stderr);
+}
+
+/// The same as orthoviews.
+fn orthoviews(folder: &Path) {
+    let words = ["build", "--input", "city:blocks=1", "--out", "built", "--leaf", "64", "--pixels", "128"];
+    let made = program::run("foresight-server", folder, &words, &[], Duration::from_secs(500));
+    assert_eq!(made.code, Some(0), "{}", made.stderr);
+}
+
+fn is_picture(screen: &Screen) -> bool {
+    screen.colours(MIDDLE) >= 12 && screen.black(MIDDLE) < 0.5
+}
+
+fn figures(ended: &Ended) -> serde_json::Value {
+    assert_eq!(ended.code, Some(0), "{}\n{}", ended.stdout, ended.stderr);
+    assert!(!ended.stderr.contains("panic"), "{}", ended.stderr);
+    serde_json::from_str(&ended.stdout).expect("the outcome is JSON")
+}
+
+#[test]
+fn a_window_is_flown_through_resized_and_closed() {
+    if let Err(reason) = foresight_tests::full() {
+        println!("{reason}");
+        return;
+    }
+    let Some(desktop) = Desktop::start() else { return };
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let folder = folder.path();
+    orthoviews(folder);
+    let kept = pictures(folder);
+    let file = |name: &str| kept.join(name);
+    let mut options = vec!["--world", "built", "--memory", "512MiB", "--captures", "captures", "--json"];
+    options.extend(SIZE);
+    let mut window = desktop.open(folder, &options);
+    let first = window.until(&file("window-overview.png"), "picture", is_picture);
+    // What has come stays.
+    std::thread::sleep(Duration::from_secs(10));
+    window.press("r");
+    window.hold("w", Duration::from_secs(3));
+    let nearer = window.until(&file("window-nearer.png"), "nearer picture", |screen| {
+        is_picture(screen) && screen.differs(&first, MIDDLE) > 0.3
+    });
+    window.drag(150, 40);
+    let turned =
+        window.until(&file("window-turned.png"), "turned picture", |screen| screen.differs(&nearer, MIDDLE) > 0.3);
+    window.press("r");
+    window.press("c");
+    window.until(&file("window-levels.png"), "false colours", |screen| screen.differs(&turned, MIDDLE) > 0.3);
+    window.press("c");
+    window.press("c");
+    window.press("c");
+    window.press("h");
+    window.press("F12");
+    window
+        .until(&file("window-keys.png"), "list of keys", |screen| screen.differs(&turned, [560, 250, 200, 200]) > 0.05);
+    // Without pixels nothing is drawn, as well as with more than any texture has.
+    for (width, height) in [(1, 1), (16_384, 64), (20_000, 40), (640, 480)] {
+        window.resize(width, height);
+        std::thread::sleep(Duration::from_secs(4));
+        assert!(window.runs(), "it ended at {width} × {height}");
+    }
+    window.until(&file("window-smaller.png"), "smaller picture", |screen| {
+        screen.colours([200, 300, 150, 150]) >= 6 && screen.black([700, 500, 300, 200]) > 0.99
+    });
+    // A device that is lost is made anew, and what was shown is shown again.
+    window.press("F9");
+    window.until(&file("window-device.png"), "picture from another device", |screen| {
+        screen.colours([200, 300, 150, 150]) >= 6
+    });
+    window.press("Escape");
+    let ended = window.finish();
+    let outcome = figures(&ended);
+    assert_eq!((outcome["devices_lost"].as_u64(), outcome["broken"].as_u64()), (Some(1), Some(0)), "{outcome}");
+    assert!(outcome["memory_max"].as_u64() <= outcome["memory_budget"].as_u64(), "{outcome}");
+    assert!(ended.stderr.contains("16384"), "{}", ended.stderr);
+    let screenshot = image::open(folder.join("captures/screenshot-0001.png")).expect("a screenshot").into_rgb8();
+    assert!(screenshot.pixels().any(|pixel| pixel.0.iter().any(|&c| c > 64)));
+    // What was recorded is replayed, by the simulator and in a window that closes at its end.
+    let path = ["--path", "captures/path-0001.jsonl", "--place", "world"];
+    let mut words = vec!["replay", "--world", "built", "--json"];
+    words.extend(path);
+    assert_eq!(program::sim(folder, &words, Duration::from_secs(120)).code, Some(0));
+    options.extend(path);
+    options.push("--close");
+    figures(&desktop.open(folder, &options).finish());
+}
+
+#[test]
+fn a_server_that_goes_and_comes_back_leaves_the_world_on_the_screen() {
+    if let Err(reason) = foresight_tests::full() {
+        println!("{reason}");
+        return;
+    }
+    let Some(desktop) = Desktop::start() else { return };
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let folder = folder.path();
+    city(folder);
+    let kept = pictures(folder);
+    let file = |name: &str| kept.join(name);
+    let server = Server::start(folder, &["--world", "city"]);
+    let port = server.port();
+    let url = server.url();
+    let mut options = vec!["--server", &url, "--world", "city", "--memory", "512MiB", "--json"];
+    options.extend(SIZE);
+    let mut window = desktop.open(folder, &options);
+    window.until(&file("server-there.png"), "picture", is_picture);
+    std::thread::sleep(Duration::from_secs(5));
+    let there = window.screen(&file("server-there.png"));
+    server.kill();
+    // The world stays, and a line in the middle below says what is the matter.
+    let notice = [150, 500, 500, 60];
+    let away =
+        window.until(&file("server-away.png"), "word on the server", |screen| screen.differs(&there, notice) > 0.1);
+    assert!(is_picture(&away) && away.differs(&there, MIDDLE) < 0.1, "{}", away.differs(&there, MIDDLE));
+    let server = Server::start_on(folder, port, None, &["--world", "city"]);
+    window.until(&file("server-back.png"), "session", |screen| screen.differs(&there, notice) < 0.05);
+    window.press("Escape");
+    let outcome = figures(&window.finish());
+    assert_eq!((outcome["server_away"].as_u64(), outcome["broken"].as_u64()), (Some(1), Some(0)), "{outcome}");
+    let (code, log) = server.stop();
+    assert_eq!(code, Some(0), "{log}");
+}
+
+#[test]
+fn little_memory_and_no_desktop_are_told() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let folder = folder.path();
+    let viewer = |words: &[&str], environment: &[(&str, &Path)]| {
+        program::run("foresight-viewer", folder, words, environment, Duration::from_secs(60))
+    };
+    let nowhere = Path::new("");
+    let ended = viewer(&["--world", "city:blocks=1"], &[("DISPLAY", nowhere), ("WAYLAND_DISPLAY", nowhere)]);
+    assert_eq!(ended.code, Some(2), "{ended:?}");
+    assert!(ended.stderr.contains("no window can be opened") && ended.stderr.contains("--headless"), "{ended:?}");
+    let ended = viewer(&["--server", "http://127.0.0.1:1"], &[]);
+    assert!(ended.code == Some(2) && ended.stderr.contains("--world"), "{ended:?}");
+    let ended = viewer(&["--world", "terrain:size=1km"], &[]);
+    assert!(ended.code == Some(2) && ended.stderr.contains("sizes only"), "{ended:?}");
+    if let Err(reason) = foresight_tests::full() {
+        println!("{reason}");
+        return;
+    }
+    let Some(desktop) = Desktop::start() else { return };
+    let kept = pictures(folder);
+    let mut options = vec!["--world", "city:blocks=2", "--memory", "1MiB", "--json"];
+    options.extend(SIZE);
+    let mut window = desktop.open(folder, &options);
+    let file = kept.join("little-memory.png");
+    // What can be shown is shown, and a line says the rest.
+    window.until(&file, "picture", |screen| screen.colours(MIDDLE) >= 3);
+    window.press("Escape");
+    let outcome = figures(&window.finish());
+    assert!(outcome["memory_max"].as_u64() <= Some(1 << 20), "{outcome}");
+}
