@@ -1,15 +1,19 @@
 //! Measures what the viewer draws, beside the papers' figures and the scheduler's predictions.
 
 mod controller;
+mod cost;
 mod culled;
 mod directions;
 mod fading;
 mod flights;
+mod offset;
 mod quality;
 mod rank;
 mod resident;
+mod shapes;
 mod streamed;
 mod street;
+mod tree;
 mod worlds;
 
 use clap::{Parser, Subcommand};
@@ -22,7 +26,7 @@ use std::process::ExitCode;
 /// Measures what the viewer draws
 #[derive(Debug, Parser)]
 #[command(
-    after_help = "Examples:\n  pictures quality --out out\n  pictures streamed --small\n  pictures resident --sun --out out\n  pictures directions --worlds built --out out"
+    after_help = "Examples:\n  pictures quality --out out\n  pictures streamed --small\n  pictures resident --sun --out out\n  pictures directions --worlds built --out out\n  pictures shapes --small --out out\n  pictures cost --worlds built\n  pictures offset --worlds built"
 )]
 struct Cli {
     #[command(subcommand)]
@@ -90,6 +94,12 @@ enum Figure {
         #[arg(long)]
         sun: bool,
     },
+    /// Circular, warped, elliptical, and hybrid splats with and without sphericality, against triangles (HIBR Figure 8)
+    Shapes,
+    /// Milliseconds per million splats; what compressed textures save and lose
+    Cost,
+    /// Pixels that differ 6.4 million metres from the origin
+    Offset,
     /// 2, 3 and 5 directions drawn of 5 and of 9 (HIBR Figure 5)
     Directions {
         /// Pictures a second; divides 60
@@ -166,6 +176,13 @@ fn stored_scenes(cli: &Cli, folder: &Path) -> Result<Vec<(Scene, bool)>, Fault> 
     Ok(scenes)
 }
 
+/// One flight through each stored world.
+fn first_scenes(cli: &Cli, folder: &Path) -> Result<Vec<Scene>, Fault> {
+    let mut scenes: Vec<Scene> = stored_scenes(cli, folder)?.into_iter().map(|(scene, _)| scene).collect();
+    scenes.dedup_by(|a, b| a.name.split(',').next() == b.name.split(',').next());
+    Ok(scenes)
+}
+
 /// Flights through worlds whose contents show every direction.
 fn undirected_scenes(cli: &Cli) -> Result<Vec<Scene>, Fault> {
     let mut cases =
@@ -213,6 +230,9 @@ fn measured(cli: &Cli, folder: &Path) -> Result<Findings, Fault> {
             let scenes = resident::scenes(folder, cli.small, cli.only.as_deref(), cli.size())?;
             resident::findings(&scenes, *rate, *sun)
         }
+        Figure::Shapes => shapes::findings(&first_scenes(cli, folder)?, cli.size()),
+        Figure::Cost => cost::findings(&first_scenes(cli, folder)?),
+        Figure::Offset => offset::findings(&first_scenes(cli, folder)?, cli.size()),
         Figure::Directions { rate } => directions::findings(&directed_scenes(cli, folder)?, *rate),
     }
 }

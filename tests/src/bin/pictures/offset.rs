@@ -74,7 +74,7 @@ pub(crate) fn findings(scenes: &[Scene], size: [u32; 2]) -> Result<Findings, Fau
     let gpu = Gpu::open(&GpuSettings::default()).map_err(|error| Fault::new("GPU", error))?;
     let title = format!("Pixels that differ {:.2e} m from the origin, on {}", AWAY.length(), gpu.name());
     let mut table = Table::new(title, &["scene", "by more than 1/255, %", "at all, %"]);
-    let triangles = tree::triangles();
+    let triangles = tree::tree_beside_wall();
     let mut contents = vec![(RepId(0), Content::Mesh(tree::mesh(&triangles)))];
     row(&mut table, "tree, triangles", &pictures(&gpu, &contents, &list([0]), &view(30.0, size))?);
     let images = nine().into_iter().filter_map(|direction| tree::orthoview(&triangles, direction, 256));

@@ -22,8 +22,10 @@ use std::collections::BTreeSet;
 /// Degrees between the view and the one orthoview; the last is the figure's.
 const ANGLES: [f64; 3] = [20.0, 45.0, 70.0];
 
-/// Pixels a side of the tree's cell.
-const PIXELS: u32 = 256;
+/// Pixels a side of the tree's cell by rows of the picture: it stays within it.
+fn pixels(size: [u32; 2]) -> u32 {
+    (size[1] * 14 / 15).max(16)
+}
 
 /// A camera on a circle around the tree, `degrees` from the orthoview's direction, where a sample is about a pixel wide.
 pub(crate) fn view(degrees: f64, size: [u32; 2]) -> View {
@@ -33,7 +35,7 @@ pub(crate) fn view(degrees: f64, size: [u32; 2]) -> View {
     let right = DVec3::Z.cross(back).normalize();
     let orientation = DQuat::from_mat3(&DMat3::from_cols(right, back.cross(right), back)).normalize();
     let fov_y = 50f64.to_radians();
-    let pixel = tree::SIDE / f64::from(PIXELS);
+    let pixel = tree::SIDE / f64::from(pixels(size));
     let away = pixel * f64::from(size[1]) / (2.0 * libm::tan(0.5 * fov_y));
     View { position: tree::MIDDLE + away * back, orientation, fov_y, viewport: size }
 }
@@ -67,27 +69,33 @@ fn of_the_tree(size: [u32; 2], findings: &mut Findings) -> Result<(), Fault> {
     let fault = |error| Fault::new("a tree beside a wall", error);
     let gpu = Gpu::open(&GpuSettings::default()).map_err(fault)?;
     let mut renderer = Renderer::new(&gpu, RenderSettings { samples: 4, ..RenderSettings::default() }, FORMAT);
-    let triangles = tree::triangles();
     let direction = Direction::from_signs([0, -1, 0]).ok_or_else(|| Fault::new("−y", "no direction"))?;
-    let image = tree::orthoview(&triangles, direction, PIXELS).ok_or_else(|| Fault::new("the tree", "not seen"))?;
-    renderer.upload(RepId(0), &Content::Splats(image)).map_err(fault)?;
-    renderer.upload(RepId(1), &Content::Mesh(tree::mesh(&triangles))).map_err(fault)?;
-    let title = format!("A tree beside a wall from one orthoview of {PIXELS} pixels, on {}", gpu.name());
+    let title = format!("One orthoview of {} pixels, turned away from the camera, on {}", pixels(size), gpu.name());
     let mut table = Table::new(title, &COLUMNS);
-    for degrees in ANGLES {
-        let view = view(degrees, size);
-        let (reference, _) = renderer.picture(&view, &list([1])).map_err(fault)?;
-        let scene = format!("tree, {degrees}°");
-        for shape in SplatShape::ALL {
-            renderer.settings().shape = shape;
-            let (picture, _) = renderer.picture(&view, &list([0])).map_err(fault)?;
-            let all: Vec<_> = likeness(&scene, &picture, &reference)?.into_iter().collect();
-            row(&mut table, &scene, shape, &all);
-            let file = png(&picture).map_err(|error| Fault::new(&scene, error))?;
-            findings.pictures.push((format!("tree-{degrees}-{}.png", shape.name()), file));
+    for (name, triangles) in
+        [("wall", tree::wall()), ("tree", tree::tree()), ("tree beside wall", tree::tree_beside_wall())]
+    {
+        let image = tree::orthoview(&triangles, direction, pixels(size)).ok_or_else(|| Fault::new(name, "not seen"))?;
+        renderer.upload(RepId(0), &Content::Splats(image)).map_err(fault)?;
+        renderer.upload(RepId(1), &Content::Mesh(tree::mesh(&triangles))).map_err(fault)?;
+        for degrees in ANGLES {
+            let view = view(degrees, size);
+            let (reference, _) = renderer.picture(&view, &list([1])).map_err(fault)?;
+            let scene = format!("{name}, {degrees}°");
+            let mut keep = |picture: &Picture, what: &str| {
+                let file = png(picture).map_err(|error| Fault::new(&scene, error))?;
+                findings.pictures.push((format!("{}-{degrees}-{what}.png", name.replace(' ', "-")), file));
+                Ok::<(), Fault>(())
+            };
+            keep(&reference, "geometry")?;
+            for shape in SplatShape::ALL {
+                renderer.settings().shape = shape;
+                let (picture, _) = renderer.picture(&view, &list([0])).map_err(fault)?;
+                let all: Vec<_> = likeness(&scene, &picture, &reference)?.into_iter().collect();
+                row(&mut table, &scene, shape, &all);
+                keep(&picture, shape.name())?;
+            }
         }
-        let file = png(&reference).map_err(|error| Fault::new(&scene, error))?;
-        findings.pictures.push((format!("tree-{degrees}-geometry.png"), file));
     }
     findings.tables.push(table);
     Ok(())

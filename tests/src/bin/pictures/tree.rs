@@ -43,17 +43,10 @@ fn quad(out: &mut Vec<Triangle>, corner: DVec3, [u, v]: [DVec3; 2], colour: [u8;
     }
 }
 
-/// Ground, a wall of bricks with mortar between them, a trunk and 7,000 leaves.
-pub(crate) fn triangles() -> Vec<Triangle> {
+/// A wall of bricks with mortar between them.
+pub(crate) fn wall() -> Vec<Triangle> {
     let mut numbers = Numbers(8);
     let mut out = Vec::new();
-    for i in 0..32 {
-        for j in 0..32 {
-            let corner = DVec3::new(0.5 * f64::from(i), 0.5 * f64::from(j), 0.2);
-            let colour = numbers.tinted([128, 116, 88], 0.12);
-            quad(&mut out, corner, [0.5 * DVec3::X, 0.5 * DVec3::Y], colour, false);
-        }
-    }
     let (left, width, high, front) = (3.0, 11.0, 7.0, 10.5);
     quad(&mut out, DVec3::new(left, front, 0.2), [width * DVec3::X, high * DVec3::Z], [168, 164, 158], false);
     quad(&mut out, DVec3::new(left, front, 0.2 + high), [width * DVec3::X, 0.5 * DVec3::Y], [150, 146, 140], false);
@@ -66,6 +59,13 @@ pub(crate) fn triangles() -> Vec<Triangle> {
             quad(&mut out, corner, [0.54 * DVec3::X, 0.24 * DVec3::Z], colour, false);
         }
     }
+    out
+}
+
+/// A trunk and some 3,600 leaves.
+pub(crate) fn tree() -> Vec<Triangle> {
+    let mut numbers = Numbers(9);
+    let mut out = Vec::new();
     let trunk = DVec3::new(6.0, 7.0, 0.2);
     for side in 0..8 {
         let around = |k: i32| {
@@ -90,6 +90,13 @@ pub(crate) fn triangles() -> Vec<Triangle> {
         quad(&mut out, corner, [turn * DVec3::X * size, turn * DVec3::Y * 0.6 * size], colour, true);
     }
     out
+}
+
+/// Both.
+pub(crate) fn tree_beside_wall() -> Vec<Triangle> {
+    let mut both = wall();
+    both.extend(tree());
+    both
 }
 
 /// The scene as triangles on the GPU.
