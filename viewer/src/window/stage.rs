@@ -133,9 +133,10 @@ impl<'a> Stage<'a> {
         }
     }
 
-    /// Whether there is memory for a content, if it takes what the world says.
+    /// Whether there is surely memory for a content: four times what the world says that it takes.
     fn has_room(&self, rep: RepId) -> bool {
-        self.resident.used().total().saturating_add(self.world.tree.decoded_bytes(rep)) <= self.memory
+        let most = self.world.tree.decoded_bytes(rep).saturating_mul(4);
+        self.resident.used().total().saturating_add(most) <= self.memory
     }
 
     /// Asks again for the most wanted of what found no room, if there is some.
