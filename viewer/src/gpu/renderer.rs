@@ -36,7 +36,7 @@ pub struct FrameCounts {
 /// What is uploaded of a representation.
 #[derive(Clone, Debug)]
 enum Uploaded {
-    Splats(Splats),
+    Splats(Box<Splats>),
     Triangles(Triangles),
     Empty,
 }
@@ -154,7 +154,7 @@ impl Renderer {
         let (device, queue) = (&self.device, &self.queue);
         let made = match content {
             Content::Splats(image) => Splats::upload(device, queue, &self.layouts, image, self.settings.compression)
-                .map(|splats| splats.map(Uploaded::Splats)),
+                .map(|splats| splats.map(|splats| Uploaded::Splats(Box::new(splats)))),
             Content::Mesh(mesh) => {
                 Triangles::upload(device, queue, &self.layouts, &self.meshes, mesh, self.settings.compression)
                     .map(|triangles| triangles.map(Uploaded::Triangles))

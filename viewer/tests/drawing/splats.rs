@@ -174,7 +174,7 @@ fn shapes_are_as_large_as_they_are_said_to_be() {
     let mut renderer = renderer(&gpu);
     let direction = nine()[0];
     // One sample, 1 m wide, whose normal is tilted by 60° along x; seen from straight above, 10 px a metre.
-    let tilted = DVec3::new(libm::sin(1.047_197_55), 0.0, 0.5);
+    let tilted = DVec3::new(libm::sin(core::f64::consts::FRAC_PI_3), 0.0, 0.5);
     let image = |connected: bool| SplatImage {
         direction,
         origin: DVec3::ZERO,

@@ -42,8 +42,8 @@ impl AsteroidContents {
 
     /// What is fetched at an address of the field's; `None` where there is nothing.
     pub fn piece(&self, uri: &str) -> Option<Piece> {
-        let mut out = Piece::default();
-        out.materials = [GREY, BRIGHT].map(|base| Material { base, ..Material::default() }).to_vec();
+        let materials = [GREY, BRIGHT].map(|base| Material { base, ..Material::default() }).to_vec();
+        let mut out = Piece { materials, ..Piece::default() };
         let (kind, rest) = uri.split_once('/')?;
         let (folder, name) = rest.split_once('/')?;
         let name = name.strip_suffix(".glb")?;
