@@ -53,7 +53,7 @@ pub struct SplatImage {
     pub size: [u32; 2],
     /// sRGB, four bytes a pixel, the fourth 255.
     pub colours: Vec<u8>,
-    /// Low ten bits: steps of the depth; upper six: [`foresight_index::orthoview::Links::bits`]. One a pixel.
+    /// Low ten bits: steps of the depth; upper six: [`foresight_index::orthoview::connectivity::Links::bits`]. One a pixel.
     pub shapes: Vec<u16>,
     /// On the octahedron, two bytes a pixel; empty where the file has none.
     pub normals: Vec<u8>,

@@ -1,6 +1,6 @@
 //! A window on a world while it streams: input, camera, scheduler, contents, picture, overlay.
 //!
-//! One thread draws ([`app`]). Another decides and fetches: the scheduler in this program ([`local`]), or a session of a server
+//! One thread draws (`app`). Another decides and fetches: the scheduler in this program (`local`), or a session of a server
 //! ([`fly_drawn`]). They meet in an [`Exchange`]. Contents are read and decoded on threads of their own
 //! ([`crate::scene::loader`]).
 
