@@ -163,8 +163,6 @@ fn little_memory_and_no_desktop_are_told() {
     assert!(ended.stderr.contains("no window can be opened") && ended.stderr.contains("--headless"), "{ended:?}");
     let ended = viewer(&["--server", "http://127.0.0.1:1"], &[]);
     assert!(ended.code == Some(2) && ended.stderr.contains("--world"), "{ended:?}");
-    let ended = viewer(&["--world", "terrain:size=1km"], &[]);
-    assert!(ended.code == Some(2) && ended.stderr.contains("sizes only"), "{ended:?}");
     if let Err(reason) = foresight_tests::full() {
         println!("{reason}");
         return;

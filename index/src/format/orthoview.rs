@@ -392,7 +392,7 @@ pub fn decode_planes(bytes: &[u8]) -> Result<DecodedPlanes, OrthoviewError> {
         return Err(OrthoviewError::Size(width, height));
     }
     const FAR: i64 = 1 << 60;
-    if min.abs().max_element() > FAR {
+    if min.cmplt(I64Vec2::splat(-FAR)).any() || min.cmpgt(I64Vec2::splat(FAR)).any() {
         return Err(fault(12, format!("pixel {min}"), "within 2⁶⁰"));
     }
     let (near, range) = (f64::from_le_bytes(eight(36)), f64::from_le_bytes(eight(44)));
