@@ -30,6 +30,9 @@ pub struct World {
     pub ground: Ground,
     /// How world space lies on the Earth, if it does.
     pub georeference: Option<Georeference>,
+    /// Side of a pixel of the root's orthoviews, metres; a level further down it is half of that. `None` where the world has
+    /// no octree of orthoviews: their errors then are all that is known of them.
+    pub root_sample: Option<f64>,
     /// What was repaired, looks wrong, or was left out.
     pub notes: Vec<Note>,
 }

@@ -1,6 +1,7 @@
 //! The simulator against what can be worked out by hand.
 
 use foresight_replay::simulation::Simulation;
+use foresight_scheduler::benefit::accuracy::HALF_ACCURACY_PX;
 use foresight_scheduler::benefit::cut::CutSettings;
 use foresight_scheduler::lod_tree::{Aabb, LodTree, LodTreeBuilder, RepId, Representation};
 use foresight_scheduler::policy::Policy;
@@ -93,7 +94,7 @@ fn one_transfer_takes_latency_and_bytes() {
             let client = ClientSettings { decode_rate, ..ClientSettings::default() };
             let shown = tick_after(arrived + Time::from_secs(f64::from(decoded) / decode_rate));
             let pixels_per_metre = 900.0 / (2.0 * libm::tan(0.5)) / 20.0;
-            let off = f64::from(error) * pixels_per_metre / 48.0;
+            let off = f64::from(error) * pixels_per_metre / HALF_ACCURACY_PX;
             let after = 1.0 / (1.0 + off * off);
             for name in names() {
                 let run = run(&tree, &flight, &link, client, named(name, &tree, &flight, &link));

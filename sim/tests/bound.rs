@@ -3,6 +3,7 @@
 #[path = "../../scheduler/tests/random_tree/mod.rs"]
 mod random_tree;
 
+use foresight_scheduler::benefit::accuracy::HALF_ACCURACY_PX;
 use foresight_scheduler::benefit::coverage::{Coverage, Refinement};
 use foresight_scheduler::benefit::cut::{Cut, CutSettings, Region};
 use foresight_scheduler::benefit::quality::evaluate;
@@ -136,7 +137,7 @@ fn two_leaves_by_hand() {
     let sharpness = cut.patches[0].sharpness;
     // The nearest point of each leaf is 4 m aside and 20 m ahead.
     let pixels_per_metre = 900.0 / (2.0 * libm::tan(0.5)) / (16.0f64 + 400.0).sqrt();
-    assert!((sharpness.sqrt() * 48.0 / pixels_per_metre - 1.0).abs() < 1e-7);
+    assert!((sharpness.sqrt() * HALF_ACCURACY_PX / pixels_per_metre - 1.0).abs() < 1e-7);
     let accuracy = |error: f64| 1.0 / (1.0 + error * error * sharpness);
     let (a, b) = (accuracy(0.25), accuracy(0.75));
     let sets = every_set(&tree, &cut);

@@ -1,5 +1,6 @@
 //! Worlds, views, links and settings at the ends of what is allowed: whole replays by every policy.
 
+use foresight_scheduler::benefit::accuracy::HALF_ACCURACY_PX;
 use foresight_scheduler::benefit::coverage::Refinement;
 use foresight_scheduler::benefit::cut::{Cut, CutSettings, Region};
 use foresight_scheduler::lod_tree::{Aabb, LodTree, LodTreeBuilder, Representation};
@@ -120,7 +121,7 @@ fn a_planet_to_the_millimetre() {
     assert_eq!(cut.patches.len(), 2);
     for (patch, d) in cut.patches.iter().zip([near, far]) {
         // Each box begins 0.1 m beside the axis.
-        let distance = start.pixels_per_radian() / (48.0 * patch.sharpness.sqrt());
+        let distance = start.pixels_per_radian() / (HALF_ACCURACY_PX * patch.sharpness.sqrt());
         assert!((distance - libm::hypot(d, 0.1)).abs() < 1e-7, "{distance}");
     }
     assert!(cut.patches[0].weight > cut.patches[1].weight);

@@ -12,6 +12,8 @@ pub mod composite;
 #[cfg(feature = "orthoviews")]
 pub mod connectivity;
 pub mod direction;
+#[cfg(feature = "orthoviews")]
+pub mod error;
 pub mod image;
 #[cfg(feature = "orthoviews")]
 pub mod raster;
@@ -19,4 +21,9 @@ pub mod raster;
 pub mod texture;
 
 pub use direction::Direction;
+/// Error of an orthoview that hides nothing, in sides of its pixels, on the scale of the errors of meshes. A tile whose
+/// geometric error is 16 px has texels of about a pixel or two; samples of two pixels lose as much, as pictures say
+/// (`pictures quality`).
+pub const SAMPLE_ERROR: f64 = 8.0;
+
 pub use image::{Lattice, Orthoview, Pixel, Rect};

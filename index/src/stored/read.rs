@@ -155,6 +155,7 @@ pub fn open(folder: &Path) -> Result<World, StoredError> {
     let notes = notes(&document);
     Ok(World {
         georeference: document.georeference(),
+        root_sample: Some(document.orthoviews.pixel * (1u64 << root.cell.level) as f64),
         name: document.name,
         kind: WorldKind::Built,
         tree,

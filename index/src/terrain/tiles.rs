@@ -71,7 +71,17 @@ pub fn terrain(
         ),
     );
     let ground = Ground::Surface(Arc::new(field));
-    Ok(World { name, kind: WorldKind::Terrain, tree, uris, up: DVec3::Z, ground, georeference, notes })
+    Ok(World {
+        name,
+        kind: WorldKind::Terrain,
+        tree,
+        uris,
+        up: DVec3::Z,
+        ground,
+        georeference,
+        root_sample: None,
+        notes,
+    })
 }
 
 /// Levels from the finest to the one of a single tile.

@@ -159,10 +159,10 @@ impl Eye {
         }
     }
 
-    /// Whether a box is small enough from here to count as a group. Across the border of the view it has to be half as
+    /// Whether a box is small enough from here to count as a group. Across the border of the view it has to be 0.35 times as
     /// large: its share inside is a ramp.
     pub fn is_far(&self, centre: DVec3, half: DVec3, side: Side) -> bool {
-        let opening = if side == Side::Inside { self.settings.opening } else { 0.5 * self.settings.opening };
+        let opening = if side == Side::Inside { self.settings.opening } else { 0.35 * self.settings.opening };
         half.length_squared() < opening * opening * centre.length_squared()
     }
 

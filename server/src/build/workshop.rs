@@ -9,6 +9,7 @@ use foresight_index::geometry::{GeometryError, GeometryLevel, levels};
 use foresight_index::octree::Cell;
 use foresight_index::orthoview::build::{LeafContent, Workshop};
 use foresight_index::orthoview::connectivity::{Thresholds, links};
+use foresight_index::orthoview::error::errors;
 use foresight_index::orthoview::{Direction, Lattice, Orthoview};
 use foresight_index::stored::page::{Child, Hash, Kind, Leaf, Node, Stored, Summary, hash};
 use foresight_index::stored::publish::Workplace;
@@ -205,8 +206,9 @@ impl Workshop for Shop<'_> {
                 Ok(file.map(|file| (direction, file)))
             })
             .collect::<Result<_, BuildError>>()?;
-        let error = pitch * (1u64 << cell.level) as f64;
-        for (direction, file) in files.into_iter().flatten() {
+        for ((direction, file), error) in
+            files.into_iter().zip(errors(images, origin, pitch)).filter_map(|(file, error)| Some((file?, error)))
+        {
             let stored = self.store(cell, Kind::Orthoview(direction), &file, uploaded_bytes(&file), error)?;
             self.representations.push(stored);
         }

@@ -5,6 +5,7 @@
 
 use super::surroundings::Surroundings;
 use foresight_scheduler::view::View;
+use foresight_traces::path::across;
 use glam::{DMat3, DQuat, DVec3};
 
 /// Lag of the speed behind what is pressed, seconds.
@@ -82,27 +83,13 @@ pub struct Rig {
     groundless: bool,
 }
 
-/// Two level unit vectors, the second a quarter turn counter-clockwise from the first, seen against `up`.
-fn level(up: DVec3) -> (DVec3, DVec3) {
-    let a = up.abs();
-    let seed = if a.z >= a.x && a.z >= a.y {
-        DVec3::X
-    } else if a.y >= a.x {
-        DVec3::Z
-    } else {
-        DVec3::Y
-    };
-    let first = (seed - up * seed.dot(up)).normalize();
-    (first, up.cross(first))
-}
-
 fn direction(up: DVec3, yaw: f64, pitch: f64) -> DVec3 {
-    let (first, second) = level(up);
+    let (first, second) = across(up);
     (first * libm::cos(yaw) + second * libm::sin(yaw)) * libm::cos(pitch) + up * libm::sin(pitch)
 }
 
 fn angles(up: DVec3, along: DVec3) -> (f64, f64) {
-    let (first, second) = level(up);
+    let (first, second) = across(up);
     let (x, y) = (along.dot(first), along.dot(second));
     let pitch = libm::atan2(along.dot(up), libm::hypot(x, y));
     (if libm::hypot(x, y) > 1e-12 { libm::atan2(y, x) } else { 0.0 }, pitch.clamp(-PITCH_MAX, PITCH_MAX))
@@ -140,7 +127,7 @@ impl Rig {
         let (bounds, up) = (around.bounds(), around.up());
         let centre = bounds.centre();
         let diagonal = (bounds.max - bounds.min).length().max(1.0);
-        let (first, second) = level(up);
+        let (first, second) = across(up);
         let away = (-first * 0.6 - second * 0.8) * libm::cos(core::f64::consts::FRAC_PI_6) + up * 0.5;
         let (yaw, pitch) = angles(up, -away);
         Rig {

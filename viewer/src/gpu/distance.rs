@@ -1,6 +1,6 @@
 //! Distances from depths: metres along the view, in a texture that can be copied and sampled.
 
-use super::pipelines::{Layouts, texture};
+use super::pipelines::{Layouts, texture, whole_picture};
 use super::targets::Targets;
 
 const FRAME: &str = include_str!("../shader/frame.wgsl");
@@ -20,40 +20,11 @@ impl Distance {
     pub(crate) fn new(device: &wgpu::Device, layouts: &Layouts, samples: u32) -> Distance {
         let kind = if samples > 1 { "texture_depth_multisampled_2d" } else { "texture_depth_2d" };
         let code = format!("{FRAME}\nalias DEPTHS = {kind};\nconst COUNT = {samples};\n{DISTANCE}");
-        let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
-            label: Some("distance"),
-            source: wgpu::ShaderSource::Wgsl(code.into()),
-        });
         let entry = texture(0, wgpu::ShaderStages::FRAGMENT, wgpu::TextureSampleType::Depth, samples > 1);
         let layout = device
             .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some("depths"), entries: &[entry] });
-        let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: Some("distance"),
-            bind_group_layouts: &[Some(&layouts.frame), Some(&layout)],
-            immediate_size: 0,
-        });
-        let options = wgpu::PipelineCompilationOptions::default();
-        let pipeline = device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-            label: Some("distance"),
-            layout: Some(&pipeline_layout),
-            vertex: wgpu::VertexState {
-                module: &module,
-                entry_point: Some("vertex"),
-                compilation_options: options.clone(),
-                buffers: &[],
-            },
-            primitive: wgpu::PrimitiveState::default(),
-            depth_stencil: None,
-            multisample: wgpu::MultisampleState::default(),
-            fragment: Some(wgpu::FragmentState {
-                module: &module,
-                entry_point: Some("fragment"),
-                compilation_options: options,
-                targets: &[Some(FORMAT.into())],
-            }),
-            multiview_mask: None,
-            cache: None,
-        });
+        let layouts = [Some(&layouts.frame), Some(&layout)];
+        let pipeline = whole_picture(device, "distance", &code, &layouts, &[Some(FORMAT.into())]);
         Distance { layout, pipeline }
     }
 

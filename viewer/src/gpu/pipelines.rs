@@ -54,6 +54,47 @@ pub(crate) fn texture(
     wgpu::BindGroupLayoutEntry { binding, visibility, ty, count: None }
 }
 
+/// A pass over every pixel of a picture by one triangle, without depth: entry points `vertex` and `fragment` of `code`.
+pub(crate) fn whole_picture(
+    device: &wgpu::Device,
+    label: &str,
+    code: &str,
+    layouts: &[Option<&wgpu::BindGroupLayout>],
+    targets: &[Option<wgpu::ColorTargetState>],
+) -> wgpu::RenderPipeline {
+    let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
+        label: Some(label),
+        source: wgpu::ShaderSource::Wgsl(code.into()),
+    });
+    let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+        label: Some(label),
+        bind_group_layouts: layouts,
+        immediate_size: 0,
+    });
+    let options = wgpu::PipelineCompilationOptions::default();
+    device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+        label: Some(label),
+        layout: Some(&layout),
+        vertex: wgpu::VertexState {
+            module: &module,
+            entry_point: Some("vertex"),
+            compilation_options: options.clone(),
+            buffers: &[],
+        },
+        primitive: wgpu::PrimitiveState::default(),
+        depth_stencil: None,
+        multisample: wgpu::MultisampleState::default(),
+        fragment: Some(wgpu::FragmentState {
+            module: &module,
+            entry_point: Some("fragment"),
+            compilation_options: options,
+            targets,
+        }),
+        multiview_mask: None,
+        cache: None,
+    })
+}
+
 impl Layouts {
     pub(crate) fn new(device: &wgpu::Device) -> Layouts {
         let layout = |label, entries: &[_]| {

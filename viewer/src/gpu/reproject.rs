@@ -8,7 +8,7 @@
 use super::device::GpuError;
 use super::distance;
 use super::picture::Picture;
-use super::pipelines::texture;
+use super::pipelines::{texture, whole_picture};
 use super::relative::{Eye, narrow};
 use super::renderer::{FrameCounts, Renderer};
 use crate::draw::list::DrawList;
@@ -104,10 +104,6 @@ impl Reprojection {
     /// For frames of a renderer.
     pub fn new(renderer: &Renderer, settings: FadeSettings) -> Reprojection {
         let device = &renderer.device;
-        let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
-            label: Some("reproject"),
-            source: wgpu::ShaderSource::Wgsl(CODE.into()),
-        });
         let exact = wgpu::TextureSampleType::Float { filterable: false };
         let plane = |binding| texture(binding, wgpu::ShaderStages::FRAGMENT, exact, false);
         let uniform = wgpu::BindGroupLayoutEntry {
@@ -124,33 +120,8 @@ impl Reprojection {
             label: Some("reproject"),
             entries: &[uniform, plane(1), plane(2), plane(3), plane(4)],
         });
-        let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: Some("reproject"),
-            bind_group_layouts: &[Some(&layout)],
-            immediate_size: 0,
-        });
-        let options = wgpu::PipelineCompilationOptions::default();
-        let pipeline = device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-            label: Some("reproject"),
-            layout: Some(&pipeline_layout),
-            vertex: wgpu::VertexState {
-                module: &module,
-                entry_point: Some("vertex"),
-                compilation_options: options.clone(),
-                buffers: &[],
-            },
-            primitive: wgpu::PrimitiveState::default(),
-            depth_stencil: None,
-            multisample: wgpu::MultisampleState::default(),
-            fragment: Some(wgpu::FragmentState {
-                module: &module,
-                entry_point: Some("fragment"),
-                compilation_options: options,
-                targets: &[Some(renderer.format.into()), Some(KEPT_FORMAT.into())],
-            }),
-            multiview_mask: None,
-            cache: None,
-        });
+        let targets = [Some(renderer.format.into()), Some(KEPT_FORMAT.into())];
+        let pipeline = whole_picture(device, "reproject", CODE, &[Some(&layout)], &targets);
         let change = device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("change"),
             size: size_of::<Change>() as u64,

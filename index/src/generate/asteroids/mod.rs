@@ -238,6 +238,7 @@ pub fn asteroids(params: &AsteroidParams) -> Result<World, GenerateError> {
         up: DVec3::Z,
         ground: Ground::Absent,
         georeference: None,
+        root_sample: None,
         notes: Vec::new(),
     })
 }

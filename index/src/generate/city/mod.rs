@@ -152,6 +152,7 @@ fn laid_out(params: &CityParams) -> Result<(World, Vec<Standing>), GenerateError
         up: DVec3::Z,
         ground: Ground::Flat(0.0),
         georeference: None,
+        root_sample: None,
         notes: Vec::new(),
     };
     Ok((world, city.standing))

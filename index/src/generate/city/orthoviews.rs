@@ -1,12 +1,14 @@
 //! Orthoviews of a made-up city: one of every cell (a district, a block) from each of nine directions, with the sizes that
 //! those of a built city have, and what its leaves' surfaces face.
 //!
-//! A pixel's side is the cell's ÷ [`super::CityParams::orthoviews`]. An image has as many pixels as the cell's box projected
+//! A pixel's side is the cell's ÷ [`super::CityParams::orthoviews`]; the error is [`SAMPLE_ERROR`] sides, as if nothing hid
+//! anything. An image has as many pixels as the cell's box projected
 //! along its direction; bytes a pixel are those of `foresight-server build` over a generated city of 4 × 4 blocks, lossless
 //! WebP colours, depth and normals: 0.4 from above, 1.0 from the sides (there is much that stands in front of the sky), 0.9
 //! from the upper corners; decoded 8, as a client uploads them.
 
 use super::{City, Level, Rectangle, Standing};
+use crate::orthoview::SAMPLE_ERROR;
 use foresight_scheduler::benefit::element::{ELEMENTS, nearest};
 use foresight_scheduler::lod_tree::{LodTreeError, Representation};
 use glam::DVec3;
@@ -51,7 +53,7 @@ impl City<'_> {
             let (prefix, tail) = (self.uris.intern(&folder), self.uris.intern(&format!("{name}.fsov")));
             self.uris.push(prefix, tail);
             #[expect(clippy::cast_possible_truncation, reason = "metres, to 7 digits")]
-            let error = pixel as f32;
+            let error = (SAMPLE_ERROR * pixel) as f32;
             self.builder.add(Representation {
                 wire_bytes: (pixels * bytes).max(1.0) as u32,
                 decoded_bytes: (pixels * DECODED_PER_PIXEL) as u32,

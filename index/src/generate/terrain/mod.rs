@@ -150,6 +150,7 @@ pub fn terrain(params: &TerrainParams) -> Result<World, GenerateError> {
         up: DVec3::Z,
         ground: Ground::Surface(Arc::new(catalogue.fractal)),
         georeference: None,
+        root_sample: None,
         notes: Vec::new(),
     })
 }

@@ -134,6 +134,7 @@ fn opened(file: &Path) -> Result<(World, Vec<Mesh>), CityJsonError> {
         up: DVec3::Z,
         ground,
         georeference: model.georeference,
+        root_sample: None,
         notes,
     };
     Ok((world, out.meshes))

@@ -96,7 +96,17 @@ pub(crate) fn assemble(folder: &Folder, name: &str, walked: Walked, placed: bool
     let heights = leaves.iter().map(|&leaf| scene.height(leaf, up));
     let ground = Ground::Leaves(LeafHeights::new(middle.dot(up), heights));
     let georeference = is_earth.then_some(Georeference::Ecef);
-    let world = World { name: String::new(), kind: WorldKind::Tiles3d, tree, uris, up, ground, georeference, notes };
+    let world = World {
+        name: String::new(),
+        kind: WorldKind::Tiles3d,
+        tree,
+        uris,
+        up,
+        ground,
+        georeference,
+        root_sample: None,
+        notes,
+    };
     let places = is_placed.then(|| {
         let place = |&node: &u32| (nodes[node as usize].variant, nodes[node as usize].translation);
         Places { representations: nodes_of.iter().map(place).collect(), variants, linears, files, credit }

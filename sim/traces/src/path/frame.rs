@@ -45,8 +45,9 @@ pub(super) fn earth_axes(position: DVec3) -> DMat3 {
     there.east_north_up()
 }
 
-/// Two unit vectors across `up` and each other: axes of the frame where `up` is one.
-pub(super) fn across(up: DVec3) -> (DVec3, DVec3) {
+/// Two unit vectors across `up` (unit length) and each other, the second a quarter turn counter-clockwise from the first, seen
+/// against `up`: axes of the frame where `up` is one.
+pub fn across(up: DVec3) -> (DVec3, DVec3) {
     let a = up.abs();
     // The axis after the dominant one, so that z gives x and y gives z.
     let seed = if a.z >= a.x && a.z >= a.y {

@@ -27,7 +27,7 @@ use glam::{DMat3, DQuat, DVec3};
 pub use axes::{Axis, CameraAxes, QuatOrder};
 pub use built_in::built_in;
 pub use facts::PathFacts;
-pub use frame::{Frame, Heights};
+pub use frame::{Frame, Heights, across};
 pub(crate) use import::g_nettrack_time;
 pub use look::Look;
 pub use place::Placement;

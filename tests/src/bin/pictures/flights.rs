@@ -1,21 +1,22 @@
 //! Flights through worlds, as the viewer draws them.
 
 use clap::Parser;
-use foresight_scheduler::benefit::cut::CutSettings;
+use foresight_scheduler::lod_tree::RepId;
 use foresight_scheduler::policy::specification::PolicySpec;
 use foresight_scheduler::scheduler::SchedulerSettings;
 use foresight_scheduler::units::Time;
-use foresight_sim::pressure::Needs;
 use foresight_tests::stored::Fault;
 use foresight_traces::arguments::{self, PathArgs};
 use foresight_traces::client::ClientSettings;
 use foresight_traces::flight::{Flight, TICKS_PER_SECOND};
 use foresight_traces::link::LinkTrace;
-use foresight_viewer::draw::choose::ChooseSettings;
+use foresight_viewer::draw::choose::{ChooseSettings, choose};
+use foresight_viewer::draw::list::DrawList;
 use foresight_viewer::gpu::{GpuSettings, Light, Picture, RenderSettings};
 use foresight_viewer::headless::{Against, Headless, Shown, Summary, fly};
 use foresight_viewer::offscreen::Offscreen;
 use foresight_viewer::scene::source::Source;
+use std::collections::BTreeSet;
 
 /// Round trip of the made links.
 const RTT: Time = Time(40_000_000);
@@ -78,12 +79,19 @@ impl Scene {
         Offscreen::new(&self.world, &self.source, &GpuSettings::default(), settings).map_err(|e| Fault::new("GPU", e))
     }
 
-    /// A constant link whose bytes over the flight are those that the flight needs, divided by `rho`: 1 is matched, above 2
-    /// is starved.
+    /// A constant link whose bytes over the flight are those of all that would be drawn if everything were resident, divided
+    /// by `rho`: 1 is matched, above 2 is starved.
     pub(crate) fn link(&self, rho: f64) -> Result<LinkTrace, Fault> {
-        let cuts = self.flight.cuts(&self.world.tree, &CutSettings::default());
-        let needed = Needs::new(&self.world.tree, &cuts).union_bytes as f64;
-        let bits = (8.0 * needed / (rho * self.flight.duration().secs())).clamp(1e4, 1e10);
+        let tree = &self.world.tree;
+        let every: BTreeSet<RepId> = (0..tree.representations() as u32).map(RepId).collect();
+        let mut needed = BTreeSet::new();
+        let mut list = DrawList::default();
+        for view in self.flight.views.iter().step_by(TICKS_PER_SECOND as usize / 2) {
+            choose(&self.world, &every, view, &ChooseSettings::default(), &mut list);
+            needed.extend(list.items.iter().map(|item| item.rep));
+        }
+        let needed: u64 = needed.iter().map(|&rep| tree.wire_bytes(rep)).sum();
+        let bits = (8.0 * needed as f64 / (rho * self.flight.duration().secs())).clamp(1e4, 1e10);
         let name = format!("{:.2} Mbit/s", bits / 1e6);
         LinkTrace::constant(&name, bits as u64, RTT).map_err(|error| Fault::new(&self.name, error))
     }

@@ -214,7 +214,8 @@ fn directed_scenes(cli: &Cli, folder: &Path) -> Result<Vec<(Scene, u32)>, Fault>
 fn measured(cli: &Cli, folder: &Path) -> Result<Findings, Fault> {
     match &cli.figure {
         Figure::Quality { rho, rate, policy, geometry } => {
-            let scenes = stored_scenes(cli, folder)?;
+            let mut scenes = stored_scenes(cli, folder)?;
+            scenes.extend(undirected_scenes(cli)?.into_iter().map(|scene| (scene, false)));
             let against = if *geometry { Against::Geometry } else { Against::Everything };
             quality::findings(&scenes, &quality::Plan { rho: *rho, rate: *rate, memory: MEMORY, against, policy })
         }

@@ -17,8 +17,12 @@ use serde_json::{Value, json};
 /// Frames count whose Q lies between these.
 const RANGE: (f64, f64) = (0.2, 0.98);
 
+/// Ranges of Q over which similarities are told.
+const BINS: [(f64, f64); 7] =
+    [(0.0, 0.2), (0.2, 0.4), (0.4, 0.6), (0.6, 0.8), (0.8, 0.9), (0.9, 0.98), (0.98, 1.0 + f64::EPSILON)];
+
 /// e₀ that are tried, pixels.
-const HALVES: [f64; 10] = [2.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 96.0];
+const HALVES: [f64; 9] = [8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0, 96.0, 192.0];
 
 /// p that are tried.
 const POWERS: [f64; 2] = [1.0, 2.0];
@@ -83,10 +87,8 @@ pub(crate) fn findings(scenes: &[(Scene, bool)], plan: &Plan) -> Result<Findings
         "Spearman's ρ between Q and SSIM over the frames with {} ≤ Q ≤ {}; {} at ρ = {}, on {adapter}",
         RANGE.0, RANGE.1, plan.policy, plan.rho
     );
-    let mut by_flight = Table::new(
-        title,
-        &["flight", "link", "frames", "in range", "Q", "SSIM", "ρ at 48 px", "best e₀, px", "p", "ρ there"],
-    );
+    let mut by_flight =
+        Table::new(title, &["flight", "link", "frames", "in range", "Q", "SSIM", "ρ", "best e₀, px", "p", "ρ there"]);
     for flight in &flown {
         let pairs = flight.pairs(|frame| frame.quality);
         let mean = |of: &dyn Fn(&(f64, f64)) -> f64| pairs.iter().map(of).sum::<f64>() / pairs.len() as f64;
@@ -120,6 +122,19 @@ pub(crate) fn findings(scenes: &[(Scene, bool)], plan: &Plan) -> Result<Findings
                 value(all.iter().filter_map(|f| f.with(half, power)).reduce(f64::min)),
             ]);
         }
+    }
+    let mut by_quality = Table::new("SSIM by Q over all flights", &["Q from", "to", "frames", "SSIM", "least", "most"]);
+    for (from, to) in BINS {
+        let frames = flown.iter().flat_map(|flight| &flight.frames);
+        let seen: Vec<f64> = frames.filter(|f| (from..to).contains(&f.quality)).map(|f| f.ssim).collect();
+        by_quality.row([
+            json!(from),
+            json!(to),
+            json!(seen.len()),
+            json!((!seen.is_empty()).then(|| seen.iter().sum::<f64>() / seen.len() as f64)),
+            json!(seen.iter().copied().reduce(f64::min)),
+            json!(seen.iter().copied().reduce(f64::max)),
+        ]);
     }
     let mut remarks = Vec::new();
     if let Some((half, power, rho)) = best(&calibrating) {
@@ -159,7 +174,7 @@ pub(crate) fn findings(scenes: &[(Scene, bool)], plan: &Plan) -> Result<Findings
         ],
     });
     let plots = std::iter::once(scatter).chain(over_time).collect();
-    Ok(Findings { tables: vec![by_flight, by_model], remarks, plots, pictures: Vec::new() })
+    Ok(Findings { tables: vec![by_flight, by_quality, by_model], remarks, plots, pictures: Vec::new() })
 }
 
 fn curve(flight: &Flown) -> Curve {

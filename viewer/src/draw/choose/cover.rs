@@ -39,6 +39,8 @@ struct Piece {
 /// One choice.
 pub(super) struct Chooser<'a> {
     tree: &'a LodTree,
+    /// Side of a pixel of the root's orthoviews, metres, if levels have sides.
+    root_sample: Option<f64>,
     resident: &'a BTreeSet<RepId>,
     settings: &'a ChooseSettings,
     frustum: Frustum,
@@ -52,6 +54,7 @@ pub(super) struct Chooser<'a> {
 impl<'a> Chooser<'a> {
     pub(super) fn new(
         tree: &'a LodTree,
+        root_sample: Option<f64>,
         resident: &'a BTreeSet<RepId>,
         view: &View,
         settings: &'a ChooseSettings,
@@ -61,11 +64,12 @@ impl<'a> Chooser<'a> {
         before.retain(|rep| rep.index() < tree.representations());
         let nodes_before = before.iter().map(|&rep| tree.node_of(rep)).collect();
         let frustum = Frustum::new(view);
-        Chooser { tree, resident, settings, frustum, before, nodes_before, items, counts: ChooseCounts::default() }
+        let counts = ChooseCounts::default();
+        Chooser { tree, root_sample, resident, settings, frustum, before, nodes_before, items, counts }
     }
 
     pub(super) fn run(&mut self) {
-        self.visit(self.tree.root(), false, None);
+        self.visit(self.tree.root(), self.root_sample, false, None);
         let substitutes = self.items.iter().map(|item| item.hidden.len()).sum::<usize>();
         self.counts.hidden = u32::try_from(substitutes).unwrap_or(u32::MAX);
         for item in &self.items {
@@ -77,8 +81,9 @@ impl<'a> Chooser<'a> {
     }
 
     /// As deep as the tree, which is at most [`foresight_scheduler::lod_tree::DEPTH_MAX`]. `inside` is whether the view is
-    /// known to show all of the node; `above` is what the best of the nodes above would show it with.
-    fn visit(&mut self, node: NodeId, mut inside: bool, above: Option<&Errors>) -> Cover {
+    /// known to show all of the node; `above` is what the best of the nodes above would show it with; `sample` is the side of
+    /// its orthoviews' pixels.
+    fn visit(&mut self, node: NodeId, sample: Option<f64>, mut inside: bool, above: Option<&Errors>) -> Cover {
         self.counts.visited = self.counts.visited.saturating_add(1);
         let centre = self.tree.centre(node) - self.frustum.eye;
         let half = self.tree.half(node);
@@ -101,7 +106,7 @@ impl<'a> Chooser<'a> {
             return Cover::Nothing;
         }
         let sight = Sight::new(self.tree, node, centre, half, self.frustum.pixels_per_radian);
-        let mine = own(self.tree, self.resident, node, &sight, &self.limits(node));
+        let mine = own(self.tree, self.resident, node, &sight, &self.limits(node, sample));
         let improves = |mine: &Own| above.is_none_or(|above| sight.quality(&mine.errors) >= sight.quality(above));
         let mine = mine.filter(improves);
         let mut pieces = Pieces::default();
@@ -111,7 +116,7 @@ impl<'a> Chooser<'a> {
             _ => {
                 let errors = mine.as_ref().map(|mine| mine.errors);
                 let above = errors.as_ref().or(above);
-                match self.children(node, inside, above, &mut pieces) {
+                match self.children(node, sample.map(|side| 0.5 * side), inside, above, &mut pieces) {
                     Cover::Nothing => {}
                     cover => return cover,
                 }
@@ -119,7 +124,7 @@ impl<'a> Chooser<'a> {
         }
         match mine {
             Some(mine) => {
-                self.draw(mine, pieces, start);
+                self.draw(mine, sample, pieces, start);
                 Cover::Full
             }
             None if pieces.drawn.is_empty() => Cover::Nothing,
@@ -128,7 +133,14 @@ impl<'a> Chooser<'a> {
     }
 
     /// Visits the children and collects what they show; `Nothing` if the node itself has to show something.
-    fn children(&mut self, node: NodeId, inside: bool, above: Option<&Errors>, pieces: &mut Pieces) -> Cover {
+    fn children(
+        &mut self,
+        node: NodeId,
+        sample: Option<f64>,
+        inside: bool,
+        above: Option<&Errors>,
+        pieces: &mut Pieces,
+    ) -> Cover {
         if self.tree.is_leaf(node) {
             return Cover::Nothing;
         }
@@ -136,7 +148,7 @@ impl<'a> Chooser<'a> {
         let mut seen = false;
         for child in tree.children(node) {
             let start = self.items.len();
-            let cover = self.visit(child, inside, above);
+            let cover = self.visit(child, sample, inside, above);
             seen |= !matches!(cover, Cover::Unseen);
             match cover {
                 Cover::Unseen => {}
@@ -158,7 +170,7 @@ impl<'a> Chooser<'a> {
         }
     }
 
-    fn limits(&self, node: NodeId) -> Limits<'_> {
+    fn limits(&self, node: NodeId, sample: Option<f64>) -> Limits<'_> {
         let first = self.nodes_before.partition_point(|&before| before <= node);
         let end = self.tree.subtree_end(node);
         let was_finer = self.nodes_before.get(first).is_some_and(|&before| before < end);
@@ -166,6 +178,7 @@ impl<'a> Chooser<'a> {
         let scale = margin * if self.settings.bias > 0.0 { self.settings.bias } else { 1.0 };
         Limits {
             settings: self.settings,
+            sample,
             sample_px: self.settings.pixels_per_sample * scale,
             error_px: self.settings.error_px * scale,
             before: &self.before,
@@ -173,13 +186,13 @@ impl<'a> Chooser<'a> {
     }
 
     /// Draws a node, without those of the pieces that can be told from the rest of it by their boxes.
-    fn draw(&mut self, mine: Own, mut pieces: Pieces, start: usize) {
+    fn draw(&mut self, mine: Own, sample: Option<f64>, mut pieces: Pieces, start: usize) {
         if !pieces.drawn.is_empty() {
             self.separate(&mut pieces, start);
         }
-        let error = mine.reps.iter().map(|&rep| self.tree.error(rep)).fold(0.0, f64::max);
-        let hidden: Vec<Aabb> =
-            pieces.drawn.iter().map(|piece| widened(piece.bounds, error, &pieces.undrawn)).collect();
+        let off = |&rep: &RepId| sample.filter(|_| self.tree.direction(rep).is_some()).unwrap_or(self.tree.error(rep));
+        let off = mine.reps.iter().map(off).fold(0.0, f64::max);
+        let hidden: Vec<Aabb> = pieces.drawn.iter().map(|piece| widened(piece.bounds, off, &pieces.undrawn)).collect();
         self.counts.substitutes += u32::from(!mine.suffices);
         for rep in mine.reps {
             self.items.push(Item { rep, hidden: hidden.clone(), tiles: ALL_TILES, false_colour: None });

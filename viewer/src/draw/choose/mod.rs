@@ -2,7 +2,7 @@
 //! directions (\[HIBR\] §4.2), and what is there instead as long as the right one is missing.
 //!
 //! A sample of side g at distance d covers g·p/d pixels, p = viewport height / (2 tan(fov/2)): \[HIBR\]'s q with cos θ = 1.
-//! A node suffices if that is at most [`ChooseSettings::pixels_per_sample`] × [`ChooseSettings::bias`] at the nearest point
+//! The side is that of the octree's level; an orthoview's error is more where it does not show what stands behind. A node suffices if that is at most [`ChooseSettings::pixels_per_sample`] × [`ChooseSettings::bias`] at the nearest point
 //! of its content box. Geometry within r is what is left: where a leaf's orthoviews no longer suffice, its triangles do,
 //! unless [`ChooseSettings::geometry_radius`] says otherwise.
 //!
@@ -129,11 +129,12 @@ pub fn choose(
     settings: &ChooseSettings,
     list: &mut DrawList,
 ) -> ChooseCounts {
-    choose_in(&world.tree, resident, view, settings, list)
+    choose_in(&world.tree, world.root_sample, resident, view, settings, list)
 }
 
 fn choose_in(
     tree: &foresight_scheduler::lod_tree::LodTree,
+    root_sample: Option<f64>,
     resident: &BTreeSet<RepId>,
     view: &View,
     settings: &ChooseSettings,
@@ -145,7 +146,8 @@ fn choose_in(
     }
     let mut before: Vec<RepId> = list.items.drain(..).map(|item| item.rep).collect();
     before.sort_unstable();
-    let mut chooser = Chooser::new(tree, resident, view, settings, before, std::mem::take(&mut list.items));
+    let items = std::mem::take(&mut list.items);
+    let mut chooser = Chooser::new(tree, root_sample, resident, view, settings, before, items);
     chooser.run();
     list.items = chooser.items;
     chooser.counts

@@ -67,6 +67,8 @@ pub(super) struct Own {
 /// What is asked of a node.
 pub(super) struct Limits<'a> {
     pub(super) settings: &'a ChooseSettings,
+    /// Side of a pixel of the node's orthoviews, metres; their errors if not known.
+    pub(super) sample: Option<f64>,
     /// Most pixels of a sample, and of an error of triangles.
     pub(super) sample_px: f64,
     pub(super) error_px: f64,
@@ -113,7 +115,8 @@ pub(super) fn own(
         match tree.direction(rep).and_then(|code| views.get_mut(usize::from(code))) {
             Some((exists, best)) => {
                 *exists = true;
-                let found = Best { rep, error, suffices: !near && sight.pixels(error) <= limits.sample_px };
+                let side = limits.sample.unwrap_or(error);
+                let found = Best { rep, error, suffices: !near && sight.pixels(side) <= limits.sample_px };
                 if drawable {
                     *best = Some(best.map_or(found, |best| best.better(found)));
                 }

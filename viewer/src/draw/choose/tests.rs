@@ -115,7 +115,7 @@ proptest! {
         // The frame before, from elsewhere, holds back what it likes.
         for _ in 0..2 {
             let view = view(&mut tape);
-            choose_in(&tree, &resident, &view, &settings, &mut list);
+            choose_in(&tree, None, &resident, &view, &settings, &mut list);
             let frustum = Frustum::new(&view);
             for item in &list.items {
                 prop_assert!(drawable(&tree, &resident, item.rep) && item.hidden.len() <= HIDDEN_MAX);
@@ -182,7 +182,7 @@ fn with_everything_resident_the_coarsest_that_suffices_is_drawn_and_geometry_whe
         let view = looking(DVec3::new(500.0, 500.0, z));
         let settings = ChooseSettings { geometry_radius: radius, ..ChooseSettings::default() };
         let mut list = DrawList::default();
-        let counts = choose_in(&tree, &resident, &view, &settings, &mut list);
+        let counts = choose_in(&tree, None, &resident, &view, &settings, &mut list);
         assert!(counts.hidden == 0 && !list.items.is_empty());
         let pixels = |node, error| error * view.pixels_per_radian() / distance(&tree, node, &view);
         for item in &list.items {
@@ -215,7 +215,7 @@ fn coarser_and_coarser_is_fewer_and_a_finer_bias_is_more() {
     let view = looking(DVec3::new(500.0, 500.0, 1300.0));
     let drawn = |bias| {
         let mut list = DrawList::default();
-        choose_in(&tree, &resident, &view, &ChooseSettings { bias, ..ChooseSettings::default() }, &mut list);
+        choose_in(&tree, None, &resident, &view, &ChooseSettings { bias, ..ChooseSettings::default() }, &mut list);
         list.items.len()
     };
     let counts = [0.5, 1.0, 2.0, 4.0, 1e9].map(drawn);
@@ -231,7 +231,7 @@ fn a_cell_in_part_is_drawn_beside_its_parent_without_its_box() {
     let own = |node: u32| tree.own(NodeId(node));
     let mut resident: BTreeSet<RepId> = own(0).chain(own(5).take(3)).chain(own(6).take(1)).collect();
     let mut list = DrawList::default();
-    let counts = choose_in(&tree, &resident, &view, &ChooseSettings::default(), &mut list);
+    let counts = choose_in(&tree, None, &resident, &view, &ChooseSettings::default(), &mut list);
     assert_eq!((counts.orthoviews, counts.substitutes, counts.hidden), (6, 2, 3), "{list:?}");
     let root = list.items.iter().find(|item| item.rep == RepId(0)).expect("the root");
     let (hidden, child) = (root.hidden[0], tree.bounds(NodeId(5)));
@@ -241,9 +241,9 @@ fn a_cell_in_part_is_drawn_beside_its_parent_without_its_box() {
     assert!((hidden.max.z - child.max.z - 16.0).abs() < 1e-9, "{hidden:?}");
     // Once the root is gone, one direction is better than none.
     resident.retain(|rep| rep.0 > 2);
-    let counts = choose_in(&tree, &resident, &view, &ChooseSettings::default(), &mut list);
+    let counts = choose_in(&tree, None, &resident, &view, &ChooseSettings::default(), &mut list);
     assert_eq!((counts.orthoviews, counts.hidden), (4, 0));
-    assert_eq!(choose_in(&tree, &BTreeSet::new(), &view, &ChooseSettings::default(), &mut list).visited, 1);
+    assert_eq!(choose_in(&tree, None, &BTreeSet::new(), &view, &ChooseSettings::default(), &mut list).visited, 1);
     assert!(list.items.is_empty());
 }
 
@@ -255,14 +255,14 @@ fn leaving_detail_what_was_drawn_stays_until_the_parent_is_there_from_all_sides(
     let (root, rest) = (tree.own(NodeId(0)), tree.beneath(NodeId(0)).skip(3));
     let mut resident: BTreeSet<RepId> = rest.collect();
     let mut list = DrawList::default();
-    choose_in(&tree, &resident, &near, &ChooseSettings::default(), &mut list);
+    choose_in(&tree, None, &resident, &near, &ChooseSettings::default(), &mut list);
     let items = list.items.len();
     for rep in root {
-        let counts = choose_in(&tree, &resident, &far, &ChooseSettings::default(), &mut list);
+        let counts = choose_in(&tree, None, &resident, &far, &ChooseSettings::default(), &mut list);
         assert_eq!((list.items.len(), counts.hidden), (items, 0));
         resident.insert(rep);
     }
-    choose_in(&tree, &resident, &far, &ChooseSettings::default(), &mut list);
+    choose_in(&tree, None, &resident, &far, &ChooseSettings::default(), &mut list);
     assert_eq!(list.items.len(), 3);
 }
 
@@ -282,7 +282,7 @@ fn nothing_swaps_to_and_fro_and_no_swap_shows_a_sample_of_more_than_a_pixel() {
         let view = looking(DVec3::new(512.0 + 0.003 * z * tremble, 512.0, z));
         let before = nodes(&list);
         let known = !list.items.is_empty();
-        choose_in(&tree, &resident, &view, &settings, &mut list);
+        choose_in(&tree, None, &resident, &view, &settings, &mut list);
         let after = nodes(&list);
         if !known {
             continue;
@@ -320,7 +320,7 @@ fn a_direction_stays_until_another_is_clearly_nearer() {
             fov_y: 1.0,
             viewport: [640, 480],
         };
-        choose_in(&tree, &resident, &view, &settings, &mut list);
+        choose_in(&tree, None, &resident, &view, &settings, &mut list);
         let direction = tree.direction(list.items[0].rep);
         if last.is_some_and(|last| last != direction) {
             changes.push(angle.to_degrees());
@@ -349,7 +349,7 @@ fn settings_out_of_range_are_named_and_draw_something_all_the_same() {
         for from in [DVec3::splat(512.0), DVec3::new(512.0, 512.0, 1e9)] {
             let mut list = DrawList::default();
             for _ in 0..2 {
-                choose_in(&tree, &resident, &looking(from), &settings, &mut list);
+                choose_in(&tree, None, &resident, &looking(from), &settings, &mut list);
                 assert!(!list.items.is_empty(), "{field}");
             }
         }
@@ -357,9 +357,9 @@ fn settings_out_of_range_are_named_and_draw_something_all_the_same() {
     let mut list = DrawList::default();
     let mut wrong = looking(DVec3::splat(512.0));
     wrong.fov_y = f64::NAN;
-    assert_eq!(choose_in(&tree, &resident, &wrong, &sane, &mut list), ChooseCounts::default());
+    assert_eq!(choose_in(&tree, None, &resident, &wrong, &sane, &mut list), ChooseCounts::default());
     // Of another world: nothing to hold on to.
     list.items = vec![Item { rep: RepId(9_999_999), hidden: Vec::new(), tiles: 0, false_colour: None }];
-    choose_in(&tree, &resident, &looking(DVec3::splat(512.0)), &sane, &mut list);
+    choose_in(&tree, None, &resident, &looking(DVec3::splat(512.0)), &sane, &mut list);
     assert!(!list.items.is_empty());
 }
