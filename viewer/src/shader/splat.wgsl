@@ -1,5 +1,6 @@
 // Orthoviews: a quad a pixel, of which a disc is kept. [HIBR] §5.2, in three dimensions instead of on the screen: the
-// quad is spanned by the disc's own axes, so that the rasteriser does the projection exactly.
+// quad is spanned by the disc's own axes, so that the rasteriser does the projection exactly. Faces of environment maps
+// too: their samples are lit already, lie along rays instead of parallels, and are circles that face the camera.
 
 @group(2) @binding(0) var colours: texture_2d<f32>;
 @group(2) @binding(1) var shapes: texture_2d<u32>;
@@ -32,6 +33,8 @@ struct Splat {
     // Relative to the eye.
     @location(2) at: vec3f,
     @location(3) @interpolate(flat) centre: vec3f,
+    // Of the sample's pixel, metres.
+    @location(4) @interpolate(flat) side: f32,
 }
 
 // The unit vector of two bytes on the octahedron; bytes of 128 are 0.
@@ -52,6 +55,17 @@ fn normal_at(pixel: vec2u) -> vec3f {
 fn position_at(pixel: vec2u, shape: u32) -> vec3f {
     let along = item.right.xyz * (f32(pixel.x) * item.origin.w) + item.up.xyz * (f32(pixel.y) * item.origin.w);
     return item.origin.xyz + along - item.towards_eye.xyz * (f32(shape & DEPTH) * item.right.w);
+}
+
+// Metres along a face's axis: codes are the reciprocal, from 1 for the farthest.
+fn face_distance(shape: u32) -> f32 {
+    return item.face.z * 65535.0 / f32(shape);
+}
+
+fn face_position_at(pixel: vec2u, distance: f32) -> vec3f {
+    let ray = item.right.xyz * (item.face.x + f32(pixel.x) * item.origin.w)
+        + item.up.xyz * (item.face.y + f32(pixel.y) * item.origin.w) - item.towards_eye.xyz;
+    return item.origin.xyz + ray * distance;
 }
 
 // Pixels are numbered tile by tile, row by row within each: a tile is one range of vertices. Tiles of the last column and
@@ -75,11 +89,26 @@ fn vertex(@builtin(vertex_index) index: u32) -> Splat {
         return splat;
     }
     let shape = textureLoad(shapes, pixel, 0).x;
+    let corner = vec2f(f32(index & 1u), f32((index >> 1u) & 1u)) * 2.0 - 1.0;
+    splat.disc = corner;
+    if item.counts.z == 1u {
+        if shape == 0u {
+            return splat;
+        }
+        let distance = face_distance(shape);
+        splat.side = item.origin.w * distance;
+        splat.centre = face_position_at(pixel, distance);
+        splat.at = splat.centre + (frame.right.xyz * corner.x + frame.up.xyz * corner.y) * (item.up.w * splat.side);
+        splat.position = frame.clip_from_relative * vec4f(splat.at, 1.0);
+        splat.light = textureLoad(colours, pixel, 0).xyz;
+        return splat;
+    }
     if (shape & PRESENT) == 0u {
         return splat;
     }
     let centre = position_at(pixel, shape);
     let side = item.origin.w;
+    splat.side = side;
     if item.counts.x != 0u && is_hidden_around(centre, 3.0 * side) {
         return splat;
     }
@@ -104,8 +133,6 @@ fn vertex(@builtin(vertex_index) index: u32) -> Splat {
         u = item.right.xyz - item.towards_eye.xyz * slope.x;
         v = item.up.xyz - item.towards_eye.xyz * slope.y;
     }
-    let corner = vec2f(f32(index & 1u), f32((index >> 1u) & 1u)) * 2.0 - 1.0;
-    splat.disc = corner;
     splat.centre = centre;
     splat.at = centre + (u * corner.x + v * corner.y) * (radius * side);
     splat.position = frame.clip_from_relative * vec4f(splat.at, 1.0);
@@ -156,7 +183,7 @@ fn fragment(splat: Splat) -> Written {
     }
     // Farther back by the square of the distance from the middle: where discs overlap, the nearest sample is shown.
     let aside = splat.at - splat.centre;
-    let back = BULGE * dot(aside, aside) / item.origin.w;
+    let back = BULGE * dot(aside, aside) / splat.side;
     out.depth = frame.forward.w / (1.0 / splat.position.w + back);
     out.colour = written(splat.light);
     return out;

@@ -132,7 +132,8 @@ pub fn choose(
     choose_in(&world.tree, resident, view, settings, list)
 }
 
-fn choose_in(
+/// As [`choose`], of a tree.
+pub fn choose_in(
     tree: &foresight_scheduler::lod_tree::LodTree,
     resident: &BTreeSet<RepId>,
     view: &View,
