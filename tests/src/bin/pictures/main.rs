@@ -27,7 +27,7 @@ use std::process::ExitCode;
 /// Measures what the viewer draws
 #[derive(Debug, Parser)]
 #[command(
-    after_help = "Examples:\n  pictures quality --out out\n  pictures streamed --small\n  pictures resident --sun --out out\n  pictures directions --worlds built --out out\n  pictures shapes --small --out out\n  pictures cost --worlds built\n  pictures offset --worlds built"
+    after_help = "Examples:\n  pictures quality --out out\n  pictures streamed --small\n  pictures resident --sun --out out\n  pictures directions --worlds built --out out\n  pictures shapes --small --out out\n  pictures cost --worlds built\n  pictures offset --worlds built\n  pictures environment --small"
 )]
 struct Cli {
     #[command(subcommand)]
@@ -227,7 +227,10 @@ fn measured(cli: &Cli, folder: &Path) -> Result<Findings, Fault> {
             streamed::findings(&scenes, *rate, MEMORY)
         }
         Figure::Culled => culled::findings(&culled::flights(folder, cli.small)?),
-        Figure::Environment => environment::findings(&environment::flights(folder, cli.small)?, cli.small),
+        Figure::Environment => {
+            let flights = environment::flights(folder, cli.small, cli.only.as_deref(), cli.size())?;
+            environment::findings(&flights, cli.small)
+        }
         Figure::Controller => controller::findings(&street::open(folder, cli.small)?, cli.small),
         Figure::Fading => fading::findings(&street::open(folder, cli.small)?, cli.small),
         Figure::Resident { rate, sun } => {

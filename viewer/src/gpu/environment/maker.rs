@@ -1,11 +1,14 @@
-//! One face of an environment map: drawn over some frames into a scratch image, counted, and cut to what it shows.
+//! One face of an environment map: drawn over some frames into a scratch image, without what the map's base shows as well,
+//! counted, and made a list of points, block by block, so that a tile is a range of it.
 
 use super::super::device::GpuError;
 use super::super::item::{Lattice, Perspective};
 use super::super::pipelines::Pipelines;
+use super::super::relative::narrow;
 use super::super::renderer::{FacePass, Renderer};
-use super::super::splats::Splats;
+use super::super::splats::{Splats, Tiles};
 use super::super::targets::Targets;
+use super::blocks::{self, BLOCK_COUNT, BLOCKS, Block, corner, layout, merged};
 use crate::draw::environment::{EnvironmentSettings, Vertex, place};
 use crate::draw::list::Item;
 use foresight_scheduler::lod_tree::{Aabb, RepId};
@@ -21,13 +24,15 @@ const CODE: &str = include_str!("../../shader/environment.wgsl");
 const COLOURS: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8UnormSrgb;
 const CODES: wgpu::TextureFormat = wgpu::TextureFormat::R16Uint;
 
-/// Bytes of a pixel of a face, and of its scratch image, which has a depth besides.
-pub(super) const PIXEL_BYTES: u64 = 4 + 2;
+/// Bytes of a point in a list, and of a pixel of the scratch image: colour, code and depth.
+const POINT_BYTES: u64 = 8;
 const SCRATCH_BYTES: u64 = 4 + 2 + 4;
 
-/// Blocks along a face's side, by which it is cut: `BLOCKS` of environment.wgsl.
-const BLOCKS: u32 = 16;
-const BLOCK_COUNT: usize = (BLOCKS * BLOCKS) as usize;
+/// Points in a row of a list.
+const ROW: u32 = 1024;
+
+/// What is left out of a map lies at most so many times farther apart in its base: √(1/`DENSE`) of environment.wgsl.
+const SPARSE: f64 = 1.12;
 
 const WAITING: u8 = 0;
 const THERE: u8 = 1;
@@ -52,23 +57,37 @@ pub(super) struct Maker {
     pub(super) bias: f64,
     pipelines: Pipelines,
     targets: Targets,
-    colours: wgpu::Texture,
     colours_view: wgpu::TextureView,
     codes: wgpu::Texture,
     codes_view: wgpu::TextureView,
     encode: wgpu::RenderPipeline,
     count: wgpu::ComputePipeline,
+    fill: wgpu::ComputePipeline,
     blocks: wgpu::Buffer,
-    /// What splats without normals have in their place.
-    normals: wgpu::TextureView,
+    starts: wgpu::Buffer,
+    face: wgpu::Buffer,
+    /// What splats of lists have in the places of colours and normals.
+    nothing: wgpu::TextureView,
+    /// The base of maps that have none.
+    no_base: wgpu::TextureView,
 }
 
-/// `Block` of environment.wgsl.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Block {
-    points: u32,
-    least: u32,
-    most: u32,
+/// `Face` of environment.wgsl.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
+struct FaceUniform {
+    right: [f32; 4],
+    up: [f32; 4],
+    forward: [f32; 4],
+    moved: [f32; 4],
+}
+
+/// The codes of a map's faces, for others to leave out what it shows.
+#[derive(Clone, Debug)]
+pub(super) struct Codes {
+    texture: wgpu::Texture,
+    all: wgpu::TextureView,
+    pub(super) bytes: u64,
 }
 
 /// A face that is being made.
@@ -79,6 +98,10 @@ pub(super) struct Making {
     pub(super) list: Vec<Item>,
     /// What was resident when the list was chosen.
     pub(super) residents: Arc<BTreeSet<RepId>>,
+    /// Whose map shows what is left out.
+    pub(super) base: Option<(Vertex, Codes)>,
+    /// Where the face's codes are kept.
+    pub(super) keeps: Option<Codes>,
     /// Items drawn so far.
     next: usize,
     /// Once all are drawn: the blocks, on their way.
@@ -93,8 +116,8 @@ pub(super) enum Step {
     Waits,
     /// The counts were not to be had.
     Failed,
-    /// It is there; nothing where it shows nothing.
-    Done(Option<Box<Splats>>),
+    /// It is there: the quarters that show anything, and their bytes.
+    Done(Vec<Splats>, u64),
 }
 
 /// Bytes that making faces of a size takes.
@@ -118,18 +141,24 @@ pub(super) fn cube(vertex: Vertex, settings: &EnvironmentSettings) -> Aabb {
 
 impl Making {
     pub(super) fn new(vertex: Vertex, face: usize, list: Vec<Item>, residents: Arc<BTreeSet<RepId>>) -> Making {
-        Making { vertex, face, list, residents, next: 0, answer: None }
+        Making { vertex, face, list, residents, base: None, keeps: None, next: 0, answer: None }
     }
+}
+
+/// All layers of a texture.
+fn layers(texture: &wgpu::Texture) -> wgpu::TextureView {
+    let dimension = Some(wgpu::TextureViewDimension::D2Array);
+    texture.create_view(&wgpu::TextureViewDescriptor { dimension, ..Default::default() })
 }
 
 impl Maker {
     pub(super) fn new(renderer: &Renderer, side: u32, bias: f64) -> Result<Maker, GpuError> {
         let device = &renderer.device;
         let memory = device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
-        let texture = |label, format, side, usage| {
+        let texture = |label, format, side, layers, usage| {
             device.create_texture(&wgpu::TextureDescriptor {
                 label: Some(label),
-                size: wgpu::Extent3d { width: side, height: side, depth_or_array_layers: 1 },
+                size: wgpu::Extent3d { width: side, height: side, depth_or_array_layers: layers },
                 mip_level_count: 1,
                 sample_count: 1,
                 dimension: wgpu::TextureDimension::D2,
@@ -139,14 +168,29 @@ impl Maker {
             })
         };
         let whole = |texture: &wgpu::Texture| texture.create_view(&wgpu::TextureViewDescriptor::default());
-        let drawn = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC;
-        let colours = texture("face colours", COLOURS, side, drawn);
-        let codes = texture("face codes", CODES, side, drawn | wgpu::TextureUsages::TEXTURE_BINDING);
-        let normals = texture("no normals", wgpu::TextureFormat::Rg8Unorm, 1, wgpu::TextureUsages::TEXTURE_BINDING);
         let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some("environment"),
             source: wgpu::ShaderSource::Wgsl(CODE.into()),
         });
+        let read = wgpu::TextureUsages::TEXTURE_BINDING;
+        let drawn = wgpu::TextureUsages::RENDER_ATTACHMENT | read;
+        let colours = texture("face colours", COLOURS, side, 1, drawn);
+        let codes = texture("face codes", CODES, side, 1, drawn | wgpu::TextureUsages::COPY_SRC);
+        let nothing = texture("no colours", wgpu::TextureFormat::Rg8Unorm, 1, 1, read);
+        let no_base = texture("no base", CODES, 1, 6, read);
+        let buffer = |label, size, usage| {
+            device.create_buffer(&wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false })
+        };
+        let compute = |entry_point| {
+            device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+                label: Some(entry_point),
+                layout: None,
+                module: &module,
+                entry_point: Some(entry_point),
+                compilation_options: wgpu::PipelineCompilationOptions::default(),
+                cache: None,
+            })
+        };
         let options = wgpu::PipelineCompilationOptions::default();
         let maker = Maker {
             side,
@@ -154,7 +198,6 @@ impl Maker {
             pipelines: Pipelines::new(device, &renderer.layouts, COLOURS, 1),
             targets: Targets::new(device, COLOURS, [side; 2], 1),
             colours_view: whole(&colours),
-            colours,
             codes_view: whole(&codes),
             codes,
             encode: device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
@@ -172,27 +215,31 @@ impl Maker {
                 fragment: Some(wgpu::FragmentState {
                     module: &module,
                     entry_point: Some("encode"),
-                    compilation_options: options.clone(),
+                    compilation_options: options,
                     targets: &[Some(CODES.into())],
                 }),
                 multiview_mask: None,
                 cache: None,
             }),
-            count: device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-                label: Some("face counts"),
-                layout: None,
-                module: &module,
-                entry_point: Some("count"),
-                compilation_options: options,
-                cache: None,
-            }),
-            blocks: device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some("face counts"),
-                size: (12 * BLOCK_COUNT) as u64,
-                usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC,
-                mapped_at_creation: false,
-            }),
-            normals: whole(&normals),
+            count: compute("count"),
+            fill: compute("fill"),
+            blocks: buffer(
+                "face counts",
+                (12 * BLOCK_COUNT) as u64,
+                wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC,
+            ),
+            starts: buffer(
+                "face starts",
+                (4 * BLOCK_COUNT) as u64,
+                wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
+            ),
+            face: buffer(
+                "face",
+                size_of::<FaceUniform>() as u64,
+                wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+            ),
+            nothing: whole(&nothing),
+            no_base: layers(&no_base),
         };
         match pollster::block_on(memory.pop()) {
             Some(error) => Err(GpuError::Refused { what: "no memory for environment maps", reason: error.to_string() }),
@@ -202,6 +249,22 @@ impl Maker {
 
     pub(super) fn bytes(&self) -> u64 {
         scratch_bytes(self.side)
+    }
+
+    /// Room for the codes of a map.
+    pub(super) fn codes(&self, renderer: &Renderer) -> Codes {
+        let side = self.side;
+        let texture = renderer.device.create_texture(&wgpu::TextureDescriptor {
+            label: Some("map codes"),
+            size: wgpu::Extent3d { width: side, height: side, depth_or_array_layers: 6 },
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format: CODES,
+            usage: wgpu::TextureUsages::COPY_DST | wgpu::TextureUsages::TEXTURE_BINDING,
+            view_formats: &[],
+        });
+        Codes { all: layers(&texture), texture, bytes: 6 * 2 * u64::from(side) * u64::from(side) }
     }
 
     /// Goes on with a face: draws until `budget`, or fetches the counts and cuts it.
@@ -215,8 +278,8 @@ impl Maker {
         if let Some((answer, state)) = &making.answer {
             return match state.load(Ordering::Acquire) {
                 WAITING => Step::Waits,
-                THERE => match blocks(answer) {
-                    Some(blocks) => Step::Done(self.cut(renderer, settings, making, &blocks).map(Box::new)),
+                THERE => match blocks::read(answer) {
+                    Some(blocks) => self.fill(renderer, settings, making, &blocks),
                     None => Step::Failed,
                 },
                 _ => Step::Failed,
@@ -236,19 +299,48 @@ impl Maker {
         let (taken, counts) = renderer.compose(&mut encoder, &pass, &making.list[making.next..], budget);
         making.next += taken;
         if making.next >= making.list.len() {
-            making.answer = Some(self.ask(&renderer.device, &mut encoder));
+            making.answer = Some(self.ask(renderer, settings, making, &mut encoder));
         }
         renderer.queue.submit([encoder.finish()]);
         Step::Drawn(counts.points + counts.triangles)
     }
 
     /// Encodes codes and counts of the scratch image.
-    fn ask(&self, device: &wgpu::Device, encoder: &mut wgpu::CommandEncoder) -> (wgpu::Buffer, Arc<AtomicU8>) {
+    fn ask(
+        &self,
+        renderer: &Renderer,
+        settings: &EnvironmentSettings,
+        making: &Making,
+        encoder: &mut wgpu::CommandEncoder,
+    ) -> (wgpu::Buffer, Arc<AtomicU8>) {
+        let device = &renderer.device;
+        let (forward, up) = AXES[making.face];
+        let base = making.base.as_ref();
+        let moved = base.map_or(DVec3::ZERO, |(base, _)| {
+            let steps = core::array::from_fn(|axis| (making.vertex[axis] - base[axis]) as f64);
+            DVec3::from_array(steps) * settings.side
+        });
+        let axis = |axis: DVec3, w: f64| narrow(axis).extend(w as f32).to_array();
+        let face = FaceUniform {
+            right: axis(forward.cross(up), 0.0),
+            up: axis(up, 0.0),
+            forward: axis(forward, settings.distance()),
+            moved: axis(moved, f64::from(u8::from(base.is_some()))),
+        };
+        renderer.queue.write_buffer(&self.face, 0, bytemuck::bytes_of(&face));
         let view = |binding, view| wgpu::BindGroupEntry { binding, resource: wgpu::BindingResource::TextureView(view) };
         let group = |label, layout: &wgpu::BindGroupLayout, entries: &[wgpu::BindGroupEntry<'_>]| {
             device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some(label), layout, entries })
         };
-        let depths = group("face codes", &self.encode.get_bind_group_layout(0), &[view(0, &self.targets.depth)]);
+        let depths = group(
+            "face codes",
+            &self.encode.get_bind_group_layout(0),
+            &[
+                view(0, &self.targets.depth),
+                wgpu::BindGroupEntry { binding: 3, resource: self.face.as_entire_binding() },
+                view(4, base.map_or(&self.no_base, |(_, codes)| &codes.all)),
+            ],
+        );
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("face codes"),
             color_attachments: &[Some(wgpu::RenderPassColorAttachment {
@@ -263,6 +355,11 @@ impl Maker {
         pass.set_bind_group(0, &depths, &[]);
         pass.draw(0..3, 0..1);
         drop(pass);
+        if let Some(Codes { texture, .. }) = &making.keeps {
+            let origin = wgpu::Origin3d { z: making.face as u32, ..wgpu::Origin3d::ZERO };
+            let layer = wgpu::TexelCopyTextureInfo { origin, ..texture.as_image_copy() };
+            encoder.copy_texture_to_texture(self.codes.as_image_copy(), layer, self.codes.size());
+        }
         let blocks = wgpu::BindGroupEntry { binding: 2, resource: self.blocks.as_entire_binding() };
         let codes = group("face counts", &self.count.get_bind_group_layout(0), &[view(1, &self.codes_view), blocks]);
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
@@ -285,145 +382,87 @@ impl Maker {
         (answer, state)
     }
 
-    /// Copies what of the scratch image shows something; nothing where nothing does.
-    fn cut(
-        &self,
-        renderer: &Renderer,
-        settings: &EnvironmentSettings,
-        making: &Making,
-        blocks: &[Block],
-    ) -> Option<Splats> {
-        let cut = Cut::of(blocks)?;
-        let block = self.side / BLOCKS;
-        let [from, size] = [cut.first, cut.blocks].map(|blocks| blocks.map(|blocks| blocks * block));
+    /// Makes the list of what is left of the scratch image.
+    fn fill(&self, renderer: &Renderer, settings: &EnvironmentSettings, making: &Making, blocks: &[Block]) -> Step {
+        let (starts, ranges, points) = layout(blocks);
+        if points == 0 {
+            return Step::Done(Vec::new(), 0);
+        }
         let device = &renderer.device;
-        let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("face") });
-        let scratch = [("map colours", &self.colours), ("map codes", &self.codes)];
-        let [colours, codes] = scratch.map(|(label, scratch)| {
-            let texture = device.create_texture(&wgpu::TextureDescriptor {
-                label: Some(label),
-                size: wgpu::Extent3d { width: size[0], height: size[1], depth_or_array_layers: 1 },
-                mip_level_count: 1,
-                sample_count: 1,
-                dimension: wgpu::TextureDimension::D2,
-                format: scratch.format(),
-                usage: wgpu::TextureUsages::COPY_DST | wgpu::TextureUsages::TEXTURE_BINDING,
-                view_formats: &[],
-            });
-            let origin = wgpu::Origin3d { x: from[0], y: from[1], z: 0 };
-            let scratch = wgpu::TexelCopyTextureInfo { origin, ..scratch.as_image_copy() };
-            encoder.copy_texture_to_texture(scratch, texture.as_image_copy(), texture.size());
-            texture.create_view(&wgpu::TextureViewDescriptor::default())
+        let rows = points.div_ceil(ROW);
+        let list = device.create_texture(&wgpu::TextureDescriptor {
+            label: Some("map points"),
+            size: wgpu::Extent3d { width: ROW, height: rows, depth_or_array_layers: 1 },
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format: wgpu::TextureFormat::Rg32Uint,
+            usage: wgpu::TextureUsages::STORAGE_BINDING | wgpu::TextureUsages::TEXTURE_BINDING,
+            view_formats: &[],
         });
-        renderer.queue.submit([encoder.finish()]);
+        let list = list.create_view(&wgpu::TextureViewDescriptor::default());
+        renderer.queue.write_buffer(&self.starts, 0, bytemuck::cast_slice(&starts));
         let entry =
             |binding, view| wgpu::BindGroupEntry { binding, resource: wgpu::BindingResource::TextureView(view) };
         let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("map points"),
+            layout: &self.fill.get_bind_group_layout(0),
+            entries: &[
+                entry(1, &self.codes_view),
+                entry(5, &self.colours_view),
+                wgpu::BindGroupEntry { binding: 6, resource: self.starts.as_entire_binding() },
+                entry(7, &list),
+            ],
+        });
+        let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("map points") });
+        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+        pass.set_pipeline(&self.fill);
+        pass.set_bind_group(0, &group, &[]);
+        pass.dispatch_workgroups(BLOCKS, BLOCKS, 1);
+        drop(pass);
+        renderer.queue.submit([encoder.finish()]);
+        let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("map"),
             layout: &renderer.layouts.splats,
-            entries: &[entry(0, &colours), entry(1, &codes), entry(2, &self.normals)],
+            entries: &[entry(0, &self.nothing), entry(1, &list), entry(2, &self.nothing)],
         });
         let pixel = 2.0 / f64::from(self.side);
         let (forward, up) = AXES[making.face];
         let near = settings.distance();
-        // Half a pixel's diagonal, and as much more as samples come apart within the cell.
-        let radius = core::f64::consts::FRAC_1_SQRT_2 * (1.0 + 3f64.sqrt() / settings.multiple);
-        let first = from.map(|from| (f64::from(from) + 0.5) * pixel - 1.0);
-        let face = Perspective { first, near, radius };
+        // Half a pixel's diagonal, and as much more as samples come apart.
+        let radius = core::f64::consts::FRAC_1_SQRT_2 * SPARSE * (1.0 + 3f64.sqrt() / settings.multiple);
+        let face = Perspective { first: [0.5 * pixel - 1.0; 2], near, radius };
         // Rows of what is drawn go downwards.
         let axes = [forward.cross(up), -up, forward];
-        let lattice = Lattice::face(place(making.vertex, settings.side), axes, pixel, size, face);
-        let mut tile_bounds = [Aabb::EMPTY; 16];
-        let tile_points = core::array::from_fn(|tile| {
-            let within = cut.tile(blocks, tile);
-            if within.points > 0 {
-                let corner = [tile as u32 % 4, tile as u32 / 4];
-                let low = core::array::from_fn(|axis| f64::from(corner[axis] * size[axis] / 4));
-                let high = core::array::from_fn(|axis| f64::from((corner[axis] + 1) * size[axis] / 4 - 1));
-                // Codes are rounded by half a step.
-                let distance = |code: f64| near * 65_535.0 / code;
-                let (nearest, farthest) = (f64::from(within.most) + 0.5, f64::from(within.least) - 0.5);
-                tile_bounds[tile] = lattice.face_bounds(low, high, distance(nearest), distance(farthest));
-            }
-            within.points
-        });
-        let bytes = PIXEL_BYTES * u64::from(size[0]) * u64::from(size[1]);
-        Some(Splats { lattice, group, tile_bounds, tile_points, bytes })
-    }
-}
-
-/// The part of a face that is kept: its first block, and how many, columns and rows; a multiple of four each, so that tiles
-/// are whole blocks.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Cut {
-    first: [u32; 2],
-    blocks: [u32; 2],
-}
-
-impl Cut {
-    /// Around all blocks with points; `None` if there are none.
-    fn of(blocks: &[Block]) -> Option<Cut> {
-        let (mut low, mut high) = ([u32::MAX; 2], [0; 2]);
-        for (at, _) in blocks.iter().enumerate().filter(|(_, block)| block.points > 0) {
-            for (axis, at) in [at as u32 % BLOCKS, at as u32 / BLOCKS].into_iter().enumerate() {
-                (low[axis], high[axis]) = (low[axis].min(at), high[axis].max(at + 1));
-            }
-        }
-        if low[0] == u32::MAX {
-            return None;
-        }
-        let count = [0, 1].map(|axis| (high[axis] - low[axis]).next_multiple_of(4));
-        Some(Cut { first: [0, 1].map(|axis| low[axis].min(BLOCKS - count[axis])), blocks: count })
-    }
-
-    /// All of a tile's blocks as one.
-    fn tile(&self, blocks: &[Block], tile: usize) -> Block {
-        let [columns, rows] = self.blocks.map(|count| count / 4);
-        let (column, row) = (tile as u32 % 4, tile as u32 / 4);
-        let mut all = Block { points: 0, least: 65_535, most: 0 };
-        for y in self.first[1] + row * rows..self.first[1] + (row + 1) * rows {
-            for x in self.first[0] + column * columns..self.first[0] + (column + 1) * columns {
-                let block = blocks[(y * BLOCKS + x) as usize];
-                if block.points > 0 {
-                    all.points += block.points;
-                    all.least = all.least.min(block.least);
-                    all.most = all.most.max(block.most);
+        let lattice = Lattice::face(place(making.vertex, settings.side), axes, pixel, [points, 1], face);
+        let across = f64::from(self.side / 8);
+        let quarters = ranges.into_iter().enumerate().filter_map(|(quarter, tile_ranges)| {
+            let mut tile_bounds = [Aabb::EMPTY; 16];
+            for (tile, bounds) in tile_bounds.iter_mut().enumerate() {
+                let [column, row] = corner(quarter, tile);
+                let within = merged(blocks, [column, row]);
+                if within.points > 0 {
+                    let low = [column, row].map(|at| f64::from(at) * across);
+                    // Codes are rounded by half a step.
+                    let distance = |code: f64| near * 65_535.0 / code;
+                    let (nearest, farthest) = (f64::from(within.most) + 0.5, f64::from(within.least) - 0.5);
+                    let high = low.map(|low| low + across - 1.0);
+                    *bounds = lattice.face_bounds(low, high, distance(nearest), distance(farthest));
                 }
             }
-        }
-        all
+            let tile_points = tile_ranges.clone().map(|range| range.end - range.start);
+            let (lattice, group) = (lattice.clone(), group.clone());
+            let is_empty = tile_points.iter().all(|&points| points == 0);
+            let tiles = Tiles::Ranges(Box::new(tile_ranges));
+            (!is_empty).then(|| Splats { lattice, group, tile_bounds, tile_points, tiles, bytes: 0 })
+        });
+        Step::Done(quarters.collect(), POINT_BYTES * u64::from(ROW) * u64::from(rows))
     }
-}
-
-fn blocks(answer: &wgpu::Buffer) -> Option<Vec<Block>> {
-    let mapped = answer.get_mapped_range(..).ok()?;
-    let words: Vec<u32> = mapped.as_chunks::<4>().0.iter().map(|word| u32::from_le_bytes(*word)).collect();
-    let blocks = words.as_chunks::<3>().0.iter().map(|&[points, least, most]| Block { points, least, most });
-    Some(blocks.collect())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn cuts_hold_all_points_in_tiles_of_whole_blocks() {
-        let nothing = Block { points: 0, least: 65_535, most: 0 };
-        let mut blocks = vec![nothing; BLOCK_COUNT];
-        assert_eq!(Cut::of(&blocks), None);
-        blocks[15 * 16 + 15] = Block { points: 3, least: 7, most: 9 };
-        let corner = Cut { first: [12, 12], blocks: [4, 4] };
-        assert_eq!(Cut::of(&blocks), Some(corner));
-        assert_eq!(corner.tile(&blocks, 15), blocks[15 * 16 + 15]);
-        blocks[14 * 16 + 3] = Block { points: 2, least: 5, most: 5 };
-        let wide = Cut { first: [0, 12], blocks: [16, 4] };
-        assert_eq!(Cut::of(&blocks), Some(wide));
-        let points: u32 = (0..16).map(|tile| wide.tile(&blocks, tile).points).sum();
-        assert_eq!(points, 5);
-        let full = vec![Block { points: 1, least: 1, most: 65_535 }; BLOCK_COUNT];
-        let all = Cut::of(&full).expect("a cut");
-        assert_eq!((all, all.tile(&full, 5).points), (Cut { first: [0, 0], blocks: [16, 16] }, 16));
-    }
 
     #[test]
     fn six_faces_look_all_round() {

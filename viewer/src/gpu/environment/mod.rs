@@ -4,11 +4,12 @@
 //!
 //! A face is drawn by the renderer itself, as any picture is, from what [`choose_in`] chooses there: orthoviews and triangles
 //! that reach out of the map's cube, lit, one sample a pixel. Its near plane is the cube's face, so its six faces show what
-//! is outside of the cube and nothing else. It is kept as colours and 16-bit reciprocals of distances, cut to what it
-//! shows, and drawn as an orthoview is: tile by tile, culled by view and by occlusion.
+//! is outside of the cube and nothing else. It is kept as a list of points of 8 bytes: pixel, colour, and the 16-bit reciprocal
+//! of the distance, whose steps are steps of parallax; what is farther than 65,535 D is put there. A list is drawn as an
+//! orthoview is, tile by tile, culled by view and by occlusion; but it has no pixels that show nothing.
 //!
 //! Faces are made one at a time, in steps between frames: at most [`EnvironmentSettings::points_per_frame`] points into the
-//! face; its counts, for which nobody waits, a frame or two later; then the cut. \[DRVW\] composed on threads of the CPU, because
+//! face; its counts, for which nobody waits, a frame or two later; then the list. \[DRVW\] composed on threads of the CPU, because
 //! the GPU was at its limit and the work came all at once. Here contents are on the GPU only, and the budget is what
 //! keeps frames short.
 //!
@@ -16,18 +17,24 @@
 //! [`choose_in`] shows its place in all of them. So what comes later is drawn by itself until the maps are made anew, and what
 //! has gone is still seen in them. Another light or shape of splats makes all maps worthless at once. Memory is what the
 //! caller has left: maps of the cell before go first, then all, and everything is drawn by itself.
+//!
+//! A map leaves out what the base of its cell shows as well, and keeps that base alive in the cells that follow: there may then
+//! be a base of before among what is drawn. A base that is made anew is taken to show the same surfaces.
 
+mod blocks;
 mod maker;
 
 use super::device::GpuError;
 use super::renderer::Renderer;
 use super::settings::{Light, SplatShape};
+use super::splats::Splats;
 use crate::draw::choose::{ChooseSettings, choose_in};
 use crate::draw::environment::{Cell, EnvironmentSettings, Vertex, face_side, missing};
 use crate::draw::list::{DrawList, Item};
 use foresight_scheduler::lod_tree::{Aabb, LodTree, RepId};
 use foresight_scheduler::view::View;
-use maker::{Maker, Making, Step, cube, face_view, scratch_bytes};
+use glam::DVec3;
+use maker::{Codes, Maker, Making, Step, cube, face_view, scratch_bytes};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -53,7 +60,7 @@ pub struct Share {
 pub struct EnvironmentCounts {
     /// Items of the list that maps show in their place.
     pub left_out: usize,
-    /// Maps that are drawn: four, or none while they are made.
+    /// Maps that are drawn: four and bases of before, or none while they are made.
     pub maps_drawn: usize,
     /// Faces that are there.
     pub faces: usize,
@@ -72,33 +79,55 @@ pub struct EnvironmentCounts {
 /// A face that is there.
 #[derive(Debug)]
 struct Face {
-    /// Of its splats, if it shows anything.
-    number: Option<u32>,
+    /// Of its quarters that show anything.
+    numbers: Vec<u32>,
     bytes: u64,
+    /// Whose map shows what it leaves out.
+    base: Option<Vertex>,
     list: Vec<Item>,
     /// What is resident and was, or would be chosen likewise.
     residents: Arc<BTreeSet<RepId>>,
 }
 
-type Faces = [Option<Face>; 6];
+/// A map, whole or not.
+#[derive(Debug, Default)]
+struct Map {
+    faces: [Option<Face>; 6],
+    /// For those that leave out what it shows, of a base.
+    codes: Option<Codes>,
+}
+
+impl Map {
+    fn is_whole(&self) -> bool {
+        self.faces.iter().all(Option::is_some)
+    }
+
+    fn faces(&self) -> impl Iterator<Item = &Face> {
+        self.faces.iter().flatten()
+    }
+
+    fn bytes(&self) -> u64 {
+        self.faces().map(|face| face.bytes).sum::<u64>() + self.codes.as_ref().map_or(0, |codes| codes.bytes)
+    }
+}
 
 /// The environment maps of a renderer. With its device they are lost, and made again with the next.
 #[derive(Debug)]
 pub struct Environment {
     settings: EnvironmentSettings,
     maker: Option<Maker>,
-    maps: BTreeMap<Vertex, Faces>,
+    maps: BTreeMap<Vertex, Map>,
     making: Option<Making>,
     /// Whose maps are made.
     cell: Option<Cell>,
-    /// Whose maps are all there.
+    /// Whose maps were all there last: they serve until those of the other are.
     shown: Option<Cell>,
     look: Option<(SplatShape, Light)>,
     residents: Arc<BTreeSet<RepId>>,
     next_number: u32,
     counts: EnvironmentCounts,
-    /// Bytes that there have to be before it is tried again.
-    retry_bytes: u64,
+    /// Bytes that there have to be before faces of so many pixels a side, or more, are tried again.
+    retry: (u32, u64),
 }
 
 /// What maps are made of.
@@ -126,7 +155,7 @@ impl Environment {
             residents: Arc::default(),
             next_number: 0,
             counts: EnvironmentCounts::default(),
-            retry_bytes: 0,
+            retry: (0, 0),
         }
     }
 
@@ -142,8 +171,7 @@ impl Environment {
 
     /// Bytes on the GPU, those for making among them.
     pub fn bytes(&self) -> u64 {
-        let faces = self.maps.values().flatten().flatten().map(|face| face.bytes).sum::<u64>();
-        faces + self.maker.as_ref().map_or(0, Maker::bytes)
+        self.maps.values().map(Map::bytes).sum::<u64>() + self.maker.as_ref().map_or(0, Maker::bytes)
     }
 
     /// Lets everything go.
@@ -175,7 +203,7 @@ impl Environment {
             self.make(renderer, around, view, share)?;
             self.far(around.tree, view, list)
         };
-        self.counts.faces = self.maps.values().flatten().flatten().count();
+        self.counts.faces = self.maps.values().flat_map(Map::faces).count();
         self.counts.bytes = self.bytes();
         Ok(drawn.unwrap_or_else(|| list.clone()))
     }
@@ -196,23 +224,25 @@ impl Environment {
                 "no environment maps: the viewpoint is too far from the origin for cells of this side".to_owned(),
             );
         }
-        let least = scratch_bytes(face_side(view.pixels_per_radian())).max(self.retry_bytes);
-        (share.bytes < least).then(|| {
-            format!(
-                "no environment maps: {:.1} MB of memory are left for them; expected at least {:.1} MB",
-                share.bytes as f64 / 1e6,
-                least as f64 / 1e6
-            )
-        })
+        let side = face_side(view.pixels_per_radian());
+        let least = scratch_bytes(side).max(if side >= self.retry.0 { self.retry.1 } else { 0 });
+        (share.bytes < least).then(|| short_of_memory(share.bytes, least))
     }
 
-    /// Lets all maps go but those at vertices that are kept.
+    /// Lets all maps go but those at vertices that are kept, and their bases.
     fn forget(&mut self, renderer: &mut Renderer, keeps: impl Fn(&Vertex) -> bool) {
-        self.maps.retain(|vertex, faces| {
+        let bases: BTreeSet<Vertex> = self
+            .maps
+            .iter()
+            .filter(|(vertex, _)| keeps(vertex))
+            .flat_map(|(_, map)| map.faces().filter_map(|face| face.base))
+            .collect();
+        let keeps = |vertex: &Vertex| keeps(vertex) || bases.contains(vertex);
+        self.maps.retain(|vertex, map| {
             let kept = keeps(vertex);
             if !kept {
-                for number in faces.iter().flatten().filter_map(|face| face.number) {
-                    renderer.faces.remove(&number);
+                for number in map.faces().flat_map(|face| &face.numbers) {
+                    renderer.faces.remove(number);
                 }
             }
             kept
@@ -220,14 +250,10 @@ impl Environment {
         if self.making.as_ref().is_some_and(|making| !keeps(&making.vertex)) {
             self.making = None;
         }
-        if self.shown.is_some_and(|cell| !self.is_complete(cell)) {
-            self.shown = None;
-        }
     }
 
-    fn is_complete(&self, cell: Cell) -> bool {
-        let is_whole = |faces: &Faces| faces.iter().all(Option::is_some);
-        cell.vertices().iter().all(|vertex| self.maps.get(vertex).is_some_and(is_whole))
+    fn are_whole(&self, vertices: &[Vertex]) -> bool {
+        vertices.iter().all(|vertex| self.maps.get(vertex).is_some_and(Map::is_whole))
     }
 
     fn make(
@@ -262,7 +288,7 @@ impl Environment {
         let mut checks = CHECKS_PER_FRAME.saturating_mul(usize::try_from(share.frames).unwrap_or(usize::MAX));
         while left > 0 {
             if self.making.is_none() {
-                self.making = self.next(&around, cell, at, &mut checks);
+                self.making = self.next(renderer, &around, cell, at, &mut checks);
             }
             let (Some(maker), Some(making)) = (&self.maker, &mut self.making) else { break };
             // What has gone since the list was chosen cannot be drawn any more.
@@ -285,20 +311,16 @@ impl Environment {
                 }
                 Step::Waits => break,
                 Step::Failed => self.making = None,
-                Step::Done(splats) => {
-                    self.finish(renderer, splats);
+                Step::Done(quarters, bytes) => {
+                    self.finish(renderer, quarters, bytes);
                     self.fit(renderer, cell, share.bytes);
-                    // Cutting is a step of its own.
-                    if !share.waits {
-                        break;
-                    }
                 }
             }
             renderer.faults.check("environment maps")?;
         }
-        if self.shown != Some(cell) && self.is_complete(cell) {
+        let kept = cell.vertices();
+        if self.shown != Some(cell) && self.are_whole(&kept) {
             self.shown = Some(cell);
-            let kept = cell.vertices();
             self.forget(renderer, |vertex| kept.contains(vertex));
         }
         self.fit(renderer, cell, share.bytes);
@@ -306,22 +328,21 @@ impl Environment {
     }
 
     /// Takes a face that is made.
-    fn finish(&mut self, renderer: &mut Renderer, splats: Option<Box<super::splats::Splats>>) {
-        let Some(Making { vertex, face, list, residents, .. }) = self.making.take() else { return };
-        let bytes = splats.as_ref().map_or(0, |splats| splats.bytes);
-        let number = splats.map(|splats| {
-            let number = self.next_number;
+    fn finish(&mut self, renderer: &mut Renderer, quarters: Vec<Splats>, bytes: u64) {
+        let Some(Making { vertex, face, list, residents, base, keeps, .. }) = self.making.take() else { return };
+        let mut numbers = Vec::new();
+        for quarter in quarters {
+            renderer.faces.insert(self.next_number, quarter);
+            numbers.push(self.next_number);
             self.next_number = self.next_number.wrapping_add(1);
-            renderer.faces.insert(number, *splats);
-            number
-        });
-        let made = Face { number, bytes, list, residents };
-        let faces = self.maps.entry(vertex).or_default();
-        let old = faces[face].replace(made);
+        }
+        let map = self.maps.entry(vertex).or_default();
+        map.codes = map.codes.take().or(keeps);
+        let old = map.faces[face].replace(Face { numbers, bytes, base: base.map(|base| base.0), list, residents });
         self.counts.faces_made += 1;
-        self.counts.maps_made += u64::from(old.is_none() && faces.iter().all(Option::is_some));
-        if let Some(number) = old.and_then(|old| old.number) {
-            renderer.faces.remove(&number);
+        self.counts.maps_made += u64::from(old.is_none() && map.is_whole());
+        for number in old.iter().flat_map(|old| &old.numbers) {
+            renderer.faces.remove(number);
         }
     }
 
@@ -334,24 +355,37 @@ impl Environment {
         self.forget(renderer, |vertex| kept.contains(vertex));
         if self.bytes() > bytes {
             // As much as there was, and not all of it was there.
-            self.retry_bytes = (self.bytes() as f64 * RETRY) as u64;
+            let side = self.maker.as_ref().map_or(0, |maker| maker.side);
+            self.retry = (side, (self.bytes() as f64 * RETRY) as u64);
+            self.counts.refused = Some(short_of_memory(bytes, self.retry.1));
             self.clear(renderer);
         }
     }
 
-    /// The face to be made next: of a map that is not whole, the nearest first; else one whose contents have changed.
-    fn next(&mut self, around: &Surroundings<'_>, cell: Cell, at: glam::DVec3, checks: &mut usize) -> Option<Making> {
-        let whole = |faces: &Faces| faces.iter().all(Option::is_some);
-        let held: BTreeSet<Vertex> = self.maps.iter().filter(|(_, faces)| whole(faces)).map(|(v, _)| *v).collect();
+    /// The face to be made next: of a map that is not whole, the base's first; else one whose contents have changed.
+    fn next(
+        &mut self,
+        renderer: &Renderer,
+        around: &Surroundings<'_>,
+        cell: Cell,
+        at: DVec3,
+        checks: &mut usize,
+    ) -> Option<Making> {
+        let held: BTreeSet<Vertex> = self.maps.iter().filter(|(_, map)| map.is_whole()).map(|(v, _)| *v).collect();
         if let Some(&vertex) = missing(cell, &held, at, self.settings.side).first() {
-            let face = self.maps.get(&vertex).and_then(|faces| faces.iter().position(Option::is_none)).unwrap_or(0);
+            let map = self.maps.get(&vertex);
+            let face = map.and_then(|map| map.faces.iter().position(Option::is_none)).unwrap_or(0);
             let list = self.choose(around, vertex, face);
-            return Some(Making::new(vertex, face, list, self.residents.clone()));
+            return Some(self.begin(renderer, cell, vertex, face, list));
         }
-        for vertex in cell.vertices() {
+        // Bases of cells before are drawn too, while others leave out what they show.
+        let mut vertices = BTreeSet::from(cell.vertices());
+        vertices.extend(self.maps.values().flat_map(Map::faces).filter_map(|face| face.base));
+        for vertex in vertices {
             for face in 0..6 {
-                let Some(Some(known)) = self.maps.get(&vertex).map(|faces| &faces[face]) else { continue };
-                if Arc::ptr_eq(&known.residents, &self.residents) {
+                let known =
+                    |map: &Map| map.faces[face].as_ref().map(|face| Arc::ptr_eq(&face.residents, &self.residents));
+                if self.maps.get(&vertex).and_then(known) != Some(false) {
                     continue;
                 }
                 if *checks == 0 {
@@ -359,16 +393,25 @@ impl Environment {
                 }
                 *checks -= 1;
                 let list = self.choose(around, vertex, face);
-                let residents = self.residents.clone();
-                let Some(Some(known)) = self.maps.get_mut(&vertex).map(|faces| &mut faces[face]) else { continue };
-                if known.list == list {
-                    known.residents = residents;
-                } else {
-                    return Some(Making::new(vertex, face, list, residents));
+                match self.maps.get_mut(&vertex).and_then(|map| map.faces[face].as_mut()) {
+                    Some(known) if known.list == list => known.residents = self.residents.clone(),
+                    _ => return Some(self.begin(renderer, cell, vertex, face, list)),
                 }
             }
         }
         None
+    }
+
+    /// A face to be made, with the cell's base if that is another vertex.
+    fn begin(&self, renderer: &Renderer, cell: Cell, vertex: Vertex, face: usize, list: Vec<Item>) -> Making {
+        let mut making = Making::new(vertex, face, list, self.residents.clone());
+        let codes = |vertex: &Vertex| self.maps.get(vertex)?.codes.clone();
+        if vertex == cell.base() {
+            making.keeps = codes(&vertex).or_else(|| Some(self.maker.as_ref()?.codes(renderer)));
+        } else {
+            making.base = codes(&cell.base()).map(|codes| (cell.base(), codes));
+        }
+        making
     }
 
     /// What a face shows: what is chosen in its view, without what lies in the map's cube.
@@ -388,16 +431,16 @@ impl Environment {
 
     /// The list with faces in place of what is far; `None` while there are none.
     fn far(&mut self, tree: &LodTree, view: &View, list: &DrawList) -> Option<DrawList> {
-        let shown = self.shown?;
-        let EnvironmentSettings { side, .. } = self.settings;
-        let distance = self.settings.distance();
-        let drawn: Vec<&Face> = shown
-            .tetrahedron(view.position, side)
-            .iter()
-            .filter_map(|vertex| self.maps.get(vertex))
-            .flatten()
-            .flatten()
-            .collect();
+        let (side, distance) = (self.settings.side, self.settings.distance());
+        let four = |cell: &Cell| cell.tetrahedron(view.position, side);
+        let cells = [self.cell, self.shown].into_iter().flatten();
+        let shown = cells.into_iter().find(|cell| self.are_whole(&four(cell)))?;
+        let four = four(&shown);
+        let mut vertices = BTreeSet::from(four);
+        let maps = four.iter().filter_map(|vertex| self.maps.get(vertex));
+        vertices.extend(maps.flat_map(Map::faces).filter_map(|face| face.base));
+        let drawn: Vec<&Face> =
+            vertices.iter().filter_map(|vertex| self.maps.get(vertex)).flat_map(Map::faces).collect();
         // Most faces share what was resident.
         let mut residents: Vec<&Arc<BTreeSet<RepId>>> = Vec::new();
         for face in &drawn {
@@ -411,9 +454,14 @@ impl Environment {
         };
         let items: Vec<Item> = list.items.iter().filter(|item| !is_in_maps(item)).cloned().collect();
         self.counts.left_out = list.items.len() - items.len();
-        self.counts.maps_drawn = 4;
-        Some(DrawList { items, faces: drawn.iter().filter_map(|face| face.number).collect() })
+        self.counts.maps_drawn = vertices.len();
+        Some(DrawList { items, faces: drawn.iter().flat_map(|face| &face.numbers).copied().collect() })
     }
+}
+
+fn short_of_memory(bytes: u64, least: u64) -> String {
+    let [bytes, least] = [bytes, least].map(|bytes| bytes as f64 / 1e6);
+    format!("no environment maps: {bytes:.1} MB of memory are left for them; expected at least {least:.1} MB")
 }
 
 /// The box that a representation's samples lie in: coarse ones lie beside what they show by as much as its error.
