@@ -231,12 +231,10 @@ impl Environment {
 
     /// Lets all maps go but those at vertices that are kept, and their bases.
     fn forget(&mut self, renderer: &mut Renderer, keeps: impl Fn(&Vertex) -> bool) {
-        let bases: BTreeSet<Vertex> = self
-            .maps
-            .iter()
-            .filter(|(vertex, _)| keeps(vertex))
-            .flat_map(|(_, map)| map.faces().filter_map(|face| face.base))
-            .collect();
+        let of_faces = self.maps.iter().filter(|(vertex, _)| keeps(vertex)).flat_map(|(_, map)| map.faces());
+        let mut bases: BTreeSet<Vertex> = of_faces.filter_map(|face| face.base).collect();
+        let making = self.making.iter().filter(|making| keeps(&making.vertex));
+        bases.extend(making.filter_map(|making| Some(making.base.as_ref()?.0)));
         let keeps = |vertex: &Vertex| keeps(vertex) || bases.contains(vertex);
         self.maps.retain(|vertex, map| {
             let kept = keeps(vertex);
@@ -402,11 +400,11 @@ impl Environment {
         None
     }
 
-    /// A face to be made, with the cell's base if that is another vertex.
+    /// A face to be made; with the cell's base, but bases of any cell are whole.
     fn begin(&self, renderer: &Renderer, cell: Cell, vertex: Vertex, face: usize, list: Vec<Item>) -> Making {
         let mut making = Making::new(vertex, face, list, self.residents.clone());
         let codes = |vertex: &Vertex| self.maps.get(vertex)?.codes.clone();
-        if vertex == cell.base() {
+        if vertex.iter().all(|step| step % 2 == 0) {
             making.keeps = codes(&vertex).or_else(|| Some(self.maker.as_ref()?.codes(renderer)));
         } else {
             making.base = codes(&cell.base()).map(|codes| (cell.base(), codes));
@@ -431,8 +429,7 @@ impl Environment {
 
     /// The list with faces in place of what is far; `None` while there are none.
     fn far(&mut self, tree: &LodTree, view: &View, list: &DrawList) -> Option<DrawList> {
-        let (side, distance) = (self.settings.side, self.settings.distance());
-        let four = |cell: &Cell| cell.tetrahedron(view.position, side);
+        let four = |cell: &Cell| cell.tetrahedron(view.position, self.settings.side);
         let cells = [self.cell, self.shown].into_iter().flatten();
         let shown = cells.into_iter().find(|cell| self.are_whole(&four(cell)))?;
         let four = four(&shown);
@@ -448,15 +445,28 @@ impl Environment {
                 residents.push(&face.residents);
             }
         }
-        let is_in_maps = |item: &Item| {
-            shown.is_far(&reach(tree, item.rep), side, distance)
-                && residents.iter().all(|residents| residents.contains(&item.rep))
-        };
-        let items: Vec<Item> = list.items.iter().filter(|item| !is_in_maps(item)).cloned().collect();
+        let items: Vec<Item> = list
+            .items
+            .iter()
+            .filter(|item| !is_in_maps(tree, shown, &self.settings, &residents, item))
+            .cloned()
+            .collect();
         self.counts.left_out = list.items.len() - items.len();
         self.counts.maps_drawn = vertices.len();
         Some(DrawList { items, faces: drawn.iter().flat_map(|face| &face.numbers).copied().collect() })
     }
+}
+
+/// Whether an item is far from a cell and was resident whenever a face of its maps was chosen: then they show its place.
+fn is_in_maps(
+    tree: &LodTree,
+    cell: Cell,
+    settings: &EnvironmentSettings,
+    residents: &[&Arc<BTreeSet<RepId>>],
+    item: &Item,
+) -> bool {
+    cell.is_far(&reach(tree, item.rep), settings.side, settings.distance())
+        && residents.iter().all(|residents| residents.contains(&item.rep))
 }
 
 fn short_of_memory(bytes: u64, least: u64) -> String {
@@ -469,3 +479,6 @@ fn reach(tree: &LodTree, rep: RepId) -> Aabb {
     let (bounds, error) = (tree.bounds(tree.node_of(rep)), tree.error(rep));
     Aabb { min: bounds.min - error, max: bounds.max + error }
 }
+
+#[cfg(test)]
+mod tests;
