@@ -135,7 +135,7 @@ fn pictures_with_maps_are_those_without() {
             assert!((4..=5).contains(&counts.maps_drawn), "{step}: {}", counts.maps_drawn);
             // All boards of the view but the near ones; the floor reaches under the viewpoint.
             assert!(counts.left_out >= 8, "{step}: {}", counts.left_out);
-            assert!(likeness.ssim > 0.93 && likeness.psnr_db > 22.0 && likeness.holes < 1e-3, "{step}: {likeness:?}");
+            assert!(likeness.ssim > 0.92 && likeness.psnr_db > 22.0 && likeness.holes < 1e-3, "{step}: {likeness:?}");
             made.push(counts.faces_made);
         }
         // One crossing of a face, and four maps made there.
