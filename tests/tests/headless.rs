@@ -175,3 +175,31 @@ fn bad_inputs_are_named() {
     let ended = viewer(here, "out", &["--world", "city:blocks=2", "--size", "0x10"]);
     assert!(ended.code == Some(2) && ended.stderr.contains("expected COLUMNSxROWS"), "{}", ended.stderr);
 }
+
+/// What is far from environment maps: counted, close to what it looks like without them, and the same again.
+#[test]
+fn environment_maps_are_counted_and_the_same_again() {
+    let scratch = tempdir().expect("a folder");
+    let here = scratch.path();
+    let arguments = [&CITY[..], &["--reference", "--environment", "2"]].concat();
+    let first = viewer(here, "first", &arguments);
+    if !draws(&first) {
+        return;
+    }
+    assert_eq!((first.code, first.stderr.as_str()), (Some(0), ""), "{}", first.stdout);
+    let table = rows(&here.join("first"));
+    for row in &table {
+        let maps = &row["environment"];
+        assert!(number(maps, "maps_drawn") >= 4.0 && number(maps, "left_out") > 0.0, "{row}");
+        assert!(number(maps, "points") > 0.0 && number(maps, "points") <= number(row, "points"), "{row}");
+        assert!(number(row, "ssim") > 0.85 && number(row, "holes") < 0.005, "{row}");
+    }
+    let summary: Value = serde_json::from_str(&first.stdout).expect("one document");
+    assert!(number(&summary, "maps_max") > 1e5 && summary["maps_refused"].is_null(), "{summary}");
+    let second = viewer(here, "second", &arguments);
+    assert_eq!(second.stdout, first.stdout);
+    assert!(files(&here.join("second")) == files(&here.join("first")), "the same flight gave other bytes");
+    let wrong = viewer(here, "wrong", &[&CITY[..], &["--environment", "0"]].concat());
+    assert_eq!(wrong.code, Some(2));
+    assert!(wrong.stderr.contains("`0`; expected auto, or metres from 0.001 to 1e9"), "{}", wrong.stderr);
+}

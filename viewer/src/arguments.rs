@@ -19,6 +19,8 @@ use foresight_traces::flight::{Flight, TICKS_PER_SECOND};
 #[cfg(feature = "draw")]
 use foresight_traces::link::LinkTrace;
 use foresight_viewer::connection::Address;
+#[cfg(feature = "draw")]
+use foresight_viewer::draw::environment::EnvironmentSettings;
 use foresight_viewer::fetch::HttpSettings;
 use foresight_viewer::session::Plan;
 use foresight_wire::encoding::Encoding;
@@ -37,6 +39,7 @@ use window::WindowArgs;
     foresight-viewer --world mars --path flight.jsonl --link constant:20Mbit,40ms --memory 64MiB\n  \
     foresight-viewer --server http://127.0.0.1:8080 --world mars\n  \
     foresight-viewer --world mars --path flight.jsonl --headless --frames frames\n  \
+    foresight-viewer --world mars --environment 2 --memory 1GiB\n  \
     foresight-viewer --server http://127.0.0.1:8080 --no-draw --world city:blocks=20 --path steady:speed=10,duration=60\n  \
     foresight-viewer --server http://127.0.0.1:8080 --no-draw --session-world mars --path flight.jsonl --memory 64MiB --json\n  \
     foresight-viewer --server http://127.0.0.1:8080 --no-draw --world city:blocks=20 --clients 100 --rate 30 --no-fetch --duration 30 --loop\n\n\
@@ -99,6 +102,10 @@ pub(crate) struct Cli {
     /// Token that the server asks for
     #[arg(long, env = "FORESIGHT_TOKEN", hide_env_values = true, value_name = "TOKEN")]
     token: Option<String>,
+    /// What is far is drawn from environment maps, which are made while it is flown: cells of SIDE metres, far being what is
+    /// more than eight sides away; auto takes a 64th of the world's largest side. Half the memory is kept for them
+    #[arg(long, value_name = "SIDE", num_args = 0..=1, default_missing_value = "auto", value_parser = environment, conflicts_with = "no_draw")]
+    environment: Option<EnvironmentWord>,
     /// Threads; as many as there are processors if not given
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
     pub(crate) threads: Option<u32>,
@@ -119,6 +126,21 @@ pub(crate) enum Way {
     NoDraw,
     Headless,
     Window,
+}
+
+/// What `--environment` says.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum EnvironmentWord {
+    Auto,
+    Side(f64),
+}
+
+fn environment(text: &str) -> Result<EnvironmentWord, String> {
+    if text == "auto" {
+        return Ok(EnvironmentWord::Auto);
+    }
+    let side = text.parse::<f64>().ok().filter(|side| (1e-3..=1e9).contains(side));
+    side.map(EnvironmentWord::Side).ok_or_else(|| format!("`{text}`; expected auto, or metres from 0.001 to 1e9"))
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -204,7 +226,7 @@ impl Cli {
             address: Address::new(server, encoding, self.token.clone())?,
             world: self.session_world.clone().unwrap_or_default(),
             has_files: false,
-            memory: self.memory,
+            memory: self.contents_memory(),
             policy: self.policy.clone(),
             refinement,
             mode,
@@ -230,6 +252,20 @@ impl Cli {
         self.world.as_deref()
     }
 
+    /// What `--environment` asks for in a world.
+    #[cfg(feature = "draw")]
+    pub(crate) fn environment(&self, world: &World) -> Option<EnvironmentSettings> {
+        Some(match self.environment? {
+            EnvironmentWord::Auto => EnvironmentSettings::for_world(&world.tree.bounds(world.tree.root())),
+            EnvironmentWord::Side(side) => EnvironmentSettings::with_side(side),
+        })
+    }
+
+    /// Memory for what is fetched: half of it where environment maps are asked for.
+    pub(crate) fn contents_memory(&self) -> u64 {
+        if self.environment.is_some() { self.memory / 2 } else { self.memory }
+    }
+
     /// Memory and refinement of a scheduler in this program.
     #[cfg(feature = "draw")]
     pub(crate) fn scheduler(&self) -> SchedulerSettings {
@@ -237,7 +273,7 @@ impl Cli {
             RefinementWord::Partial => Refinement::Partial,
             RefinementWord::Atomic => Refinement::Atomic,
         };
-        SchedulerSettings { refinement, ..SchedulerSettings::with_budget(self.memory) }
+        SchedulerSettings { refinement, ..SchedulerSettings::with_budget(self.contents_memory()) }
     }
 
     /// The world, if one is named.

@@ -22,6 +22,9 @@ const RATE: u64 = 2;
 /// Notes on an imported world that are printed.
 const NOTES: usize = 5;
 
+/// Most bytes of environment maps with everything resident.
+const REFERENCE_MAPS: u64 = 2 << 30;
+
 /// The default of α.
 const ALPHA: f64 = 0.7;
 
@@ -60,6 +63,8 @@ pub(crate) fn run(cli: &Cli) -> anyhow::Result<bool> {
     };
     let settings = RenderSettings { light, ..Offscreen::settings(&world) };
     let mut offscreen = Offscreen::new(&world, &source, &GpuSettings::default(), settings)?;
+    // With everything resident there is no budget but the machine's.
+    let maps_memory = if args.reference { REFERENCE_MAPS } else { cli.memory };
     let flown = Headless {
         world: &world,
         flight: &flight,
@@ -73,6 +78,7 @@ pub(crate) fn run(cli: &Cli) -> anyhow::Result<bool> {
             AgainstWord::Geometry => Against::Geometry,
         },
         choose: ChooseSettings::default(),
+        environment: cli.environment(&world).map(|environment| (environment, maps_memory)),
         ticks_per_picture,
     };
     let (clock, shows) = (Clock::start(), std::io::stderr().is_terminal());
@@ -91,6 +97,9 @@ pub(crate) fn run(cli: &Cli) -> anyhow::Result<bool> {
     }
     if summary.broken_count > summary.broken.len() {
         eprintln!("… and {} more that are not shown", summary.broken_count - summary.broken.len());
+    }
+    if let Some(refused) = &summary.maps_refused {
+        eprintln!("{refused}");
     }
     print(cli.json, &summary, |summary| text(summary, frames))?;
     Ok(summary.memory_budget.is_none_or(|budget| summary.memory_max <= budget))

@@ -1,7 +1,8 @@
 //! A flight as pictures, on a virtual clock: what is resident at a frame is what the simulation says.
 
 use crate::draw::choose::ChooseSettings;
-use crate::gpu::{FrameCounts, GpuError, Picture};
+use crate::draw::environment::EnvironmentSettings;
+use crate::gpu::{EnvironmentCounts, FrameCounts, GpuError, Picture, Share};
 use crate::measure::{self, Likeness};
 use crate::offscreen::Offscreen;
 use foresight_index::world::World;
@@ -63,6 +64,9 @@ pub struct Headless<'a> {
     pub against: Against,
     /// What is drawn of what is resident.
     pub choose: ChooseSettings,
+    /// What is far comes from environment maps, in the pictures and not in their references. They take what is left of so
+    /// many bytes beside the scheduler's.
+    pub environment: Option<(EnvironmentSettings, u64)>,
     /// From one picture to the next, at least 1.
     pub ticks_per_picture: u64,
 }
@@ -99,6 +103,35 @@ pub struct Row {
     pub triangles: u64,
     /// Draw calls.
     pub draws: u64,
+    /// What became of environment maps; `None` without.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub environment: Option<EnvironmentRow>,
+}
+
+/// Environment maps at a picture.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct EnvironmentRow {
+    /// Samples of maps that were drawn; they are among [`Row::points`].
+    pub points: u64,
+    /// Contents that maps showed in their place.
+    pub left_out: usize,
+    /// Maps that were drawn.
+    pub maps_drawn: usize,
+    /// Faces that were made for this picture, and the points and triangles drawn into them.
+    pub faces_made: u64,
+    /// See there.
+    pub points_in: u64,
+    /// Maps made so far.
+    pub maps_made: u64,
+    /// Bytes of maps, and of what they are made with.
+    pub bytes: u64,
+}
+
+impl EnvironmentRow {
+    fn new(points: u64, counts: &EnvironmentCounts) -> EnvironmentRow {
+        let &EnvironmentCounts { left_out, maps_drawn, faces_made, points_in, maps_made, bytes, .. } = counts;
+        EnvironmentRow { points, left_out, maps_drawn, faces_made, points_in, maps_made, bytes }
+    }
 }
 
 /// A picture as it is made.
@@ -146,8 +179,12 @@ pub struct Summary {
     pub worst_ssim: Option<f64>,
     /// Memory budget, bytes; `None` where everything is resident.
     pub memory_budget: Option<u64>,
-    /// The most that was in use at a picture, bytes.
+    /// The most that was in use at a picture, bytes; with everything resident, maps aside, what the contents' sizes say.
     pub memory_max: u64,
+    /// Of that the most that environment maps took.
+    pub maps_max: u64,
+    /// Why there were no environment maps, if they were asked for and at some picture there were none to be had.
+    pub maps_refused: Option<String>,
     /// Bytes that have crossed the link.
     pub bytes_received: u64,
     /// What could not be shown, and why; others were drawn in its place. The first few.
@@ -230,6 +267,7 @@ pub fn fly(
     let mut simulation = Simulation::new(conditions, future::build(policy, tree, flight, link, Time::ZERO))?;
     let mut announcer = Announcer::new(&flight.views, headless.client.announce_s);
     let mut resident: BTreeSet<RepId> = preloaded.iter().copied().collect();
+    offscreen.set_environment(headless.environment.map(|(settings, _)| settings));
     let mut cut = Cut::default();
     let mut totals = Totals::default();
     for (tick, view) in flight.views.iter().enumerate() {
@@ -249,12 +287,23 @@ pub fn fly(
         cut.make(tree, view, Region::Frustum, &CutSettings { centre_falloff: 0.0, ..CutSettings::default() });
         let quality = simulation.judge(&cut).mean();
         let within_px = within_px(tree, &cut, &simulation);
-        let (picture, counts) = offscreen.picture(view, &resident, &headless.choose)?;
+        let (picture, counts, maps) = match headless.environment {
+            Some((_, bytes)) => {
+                let bytes = bytes.saturating_sub(if headless.everything { 0 } else { simulation.used_bytes() });
+                let share = Share { bytes, frames: headless.ticks_per_picture, waits: true };
+                let drawn = offscreen.picture_with_maps(view, &resident, &headless.choose, share)?;
+                (drawn.0, drawn.1, Some(drawn.2))
+            }
+            None => {
+                let (picture, counts) = offscreen.picture(view, &resident, &headless.choose)?;
+                (picture, counts, None)
+            }
+        };
         let frame = totals.rows;
         let made = match references.as_deref().and_then(|kept| kept.get(frame)) {
             Some(_) => None,
             None => Some(match headless.against {
-                Against::Everything if headless.everything => picture.clone(),
+                Against::Everything if headless.everything && maps.is_none() => picture.clone(),
                 Against::Everything => offscreen.picture(view, &every, &headless.choose)?.0,
                 Against::Geometry => offscreen.picture(view, &every, &ChooseSettings::reference())?.0,
             }),
@@ -262,7 +311,10 @@ pub fn fly(
         let kept = references.as_deref().and_then(|kept| kept.get(frame));
         let reference = made.as_ref().or(kept).unwrap_or(&picture);
         let likeness = measure::compare(&picture, reference)?;
-        let row = Row { quality, within_px, ..row(frame, now, likeness, counts, &simulation, resident.len()) };
+        totals.maps(maps.as_ref());
+        let environment = maps.map(|maps| EnvironmentRow::new(counts.map_points, &maps));
+        let row =
+            Row { quality, within_px, environment, ..row(frame, now, likeness, counts, &simulation, resident.len()) };
         totals.add(&row);
         each(&Shown { row: &row, picture: &picture, reference, cut: &cut, simulation: &simulation })?;
         if let (Some(made), Some(kept)) = (made, references.as_deref_mut()) {
@@ -289,8 +341,11 @@ pub fn fly(
         mean_ssim: mean(totals.ssim),
         worst_frame: totals.worst.map(|(frame, _)| frame),
         worst_ssim: totals.worst.map(|(_, ssim)| ssim),
-        memory_budget: (!headless.everything).then_some(scheduler.budget),
+        memory_budget: (!headless.everything)
+            .then(|| headless.environment.map_or(scheduler.budget, |(_, bytes)| bytes.max(scheduler.budget))),
         memory_max: totals.memory_max,
+        maps_max: totals.maps_max,
+        maps_refused: totals.refused,
         bytes_received: simulation.delivered_bytes(),
         broken: offscreen.broken().iter().take(BROKEN_MAX).map(uri).collect(),
         broken_count: offscreen.broken().len(),
@@ -334,6 +389,7 @@ fn row(
         points: counts.points,
         triangles: counts.triangles,
         draws: counts.draws,
+        environment: None,
     }
 }
 
@@ -345,9 +401,19 @@ struct Totals {
     ssim: (f64, usize),
     worst: Option<(usize, f64)>,
     memory_max: u64,
+    /// Most bytes of maps, and why there were none.
+    maps_max: u64,
+    refused: Option<String>,
 }
 
 impl Totals {
+    fn maps(&mut self, counts: Option<&EnvironmentCounts>) {
+        if let Some(counts) = counts {
+            self.maps_max = self.maps_max.max(counts.bytes);
+            self.refused = self.refused.take().or_else(|| counts.refused.clone());
+        }
+    }
+
     fn add(&mut self, row: &Row) {
         self.rows += 1;
         if let Some(quality) = row.quality {
@@ -359,7 +425,8 @@ impl Totals {
                 self.worst = Some((row.frame, ssim));
             }
         }
-        self.memory_max = self.memory_max.max(row.memory_bytes);
+        let maps = row.environment.as_ref().map_or(0, |environment| environment.bytes);
+        self.memory_max = self.memory_max.max(row.memory_bytes + maps);
     }
 }
 

@@ -2,8 +2,10 @@
 //! on a virtual clock is the same as having had them.
 
 use crate::draw::choose::{ChooseSettings, choose};
+use crate::draw::environment::EnvironmentSettings;
 use crate::draw::list::DrawList;
-use crate::gpu::{Background, FrameCounts, Gpu, GpuError, GpuSettings, Light, Picture, RenderSettings, Renderer};
+use crate::gpu::{Background, Environment, EnvironmentCounts, FrameCounts, Gpu, GpuError, GpuSettings, Light, Picture};
+use crate::gpu::{RenderSettings, Renderer, Share, Surroundings};
 use crate::scene::content::Content;
 use crate::scene::decode::decode;
 use crate::scene::source::Source;
@@ -27,6 +29,7 @@ pub struct Offscreen<'a> {
     world: &'a World,
     source: &'a Source,
     renderer: Renderer,
+    environment: Option<Environment>,
     adapter: String,
     /// What cannot be shown, and why.
     broken: BTreeMap<RepId, String>,
@@ -45,7 +48,7 @@ impl<'a> Offscreen<'a> {
     ) -> Result<Offscreen<'a>, GpuError> {
         let gpu = Gpu::open(gpu)?;
         let renderer = Renderer::new(&gpu, settings, FORMAT);
-        Ok(Offscreen { world, source, renderer, adapter: gpu.name(), broken: BTreeMap::new() })
+        Ok(Offscreen { world, source, renderer, environment: None, adapter: gpu.name(), broken: BTreeMap::new() })
     }
 
     /// The default settings with the sky above this world and four samples a pixel: what is finer than a pixel would make
@@ -115,6 +118,41 @@ impl<'a> Offscreen<'a> {
                 return self.renderer.picture(view, &list);
             }
         }
+    }
+
+    /// Environment maps for [`Offscreen::picture_with_maps`], or none any more.
+    pub fn set_environment(&mut self, settings: Option<EnvironmentSettings>) {
+        if let Some(environment) = &mut self.environment {
+            environment.clear(&mut self.renderer);
+        }
+        self.environment = settings.map(Environment::new);
+    }
+
+    /// As [`Offscreen::picture`], what is far from environment maps, which are made from what is resident as far as `share`
+    /// goes. All of it is uploaded.
+    ///
+    /// # Errors
+    /// As [`Offscreen::picture`].
+    pub fn picture_with_maps(
+        &mut self,
+        view: &View,
+        resident: &BTreeSet<RepId>,
+        settings: &ChooseSettings,
+        share: Share,
+    ) -> Result<(Picture, FrameCounts, EnvironmentCounts), GpuError> {
+        self.load(resident.iter().copied())?;
+        let mut usable = resident.clone();
+        usable.retain(|rep| !self.broken.contains_key(rep));
+        let mut list = DrawList::default();
+        choose(self.world, &usable, view, settings, &mut list);
+        let Some(environment) = &mut self.environment else {
+            let (picture, counts) = self.renderer.picture(view, &list)?;
+            return Ok((picture, counts, EnvironmentCounts::default()));
+        };
+        let around = Surroundings { tree: &self.world.tree, resident: &usable, choose: settings };
+        let list = environment.prepare(&mut self.renderer, around, view, &list, share)?;
+        let (picture, counts) = self.renderer.picture(view, &list)?;
+        Ok((picture, counts, environment.counts().clone()))
     }
 
     /// What draws, for frames of another kind than [`Offscreen::picture`].

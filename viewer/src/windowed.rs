@@ -43,12 +43,14 @@ pub(crate) fn run(cli: &Cli) -> anyhow::Result<bool> {
         Some(_) => remote(cli, world.tree.representations())?,
         None => local(cli, &world)?,
     };
-    let memory = cli.memory;
+    let (memory, environment) = (cli.memory, cli.environment(&world));
     let outcome = window::run(WindowSettings {
         world: Arc::new(world),
         source: Arc::new(source),
         decider,
         memory,
+        contents_memory: cli.contents_memory(),
+        environment,
         path,
         closes: args.close,
         mode: match args.controls {

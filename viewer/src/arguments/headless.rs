@@ -7,7 +7,7 @@ use std::path::PathBuf;
 #[command(next_help_heading = "With --headless")]
 pub(crate) struct HeadlessArgs {
     /// Folder for the pictures, frame_00000.png and so on, and for frames.jsonl: for each its time, the scheduler's quality,
-    /// SSIM and PSNR against the reference, memory, bytes received, points and triangles
+    /// SSIM and PSNR against the reference, memory, bytes received, points and triangles, environment maps
     #[arg(long, value_name = "DIR", requires = "headless")]
     pub(crate) frames: Option<PathBuf>,
     /// Everything is resident in every frame: no link, no memory budget

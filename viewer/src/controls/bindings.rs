@@ -62,6 +62,8 @@ pub enum Action {
     Samples,
     /// Less is drawn where a frame takes too long, or not.
     HoldTime,
+    /// What is far from environment maps, or not.
+    Maps,
     /// Lists the keys.
     Keys,
     /// Opens the graphics device anew.
@@ -120,6 +122,7 @@ pub const BINDINGS: &[Binding] = &[
     key(&["Period"], ".", Action::LightHigher, "light higher"),
     key(&["F6", "KeyM"], "F6, M", Action::Samples, "antialiasing"),
     key(&["KeyT"], "T", Action::HoldTime, "hold the frame time"),
+    key(&["F7", "KeyN"], "F7, N", Action::Maps, "environment maps"),
     key(&["F9"], "F9", Action::Device, "open the graphics device anew"),
     key(&["F11", "KeyF"], "F11, F", Action::FullScreen, "full screen"),
     key(&["Escape"], "Esc", Action::Close, "close"),

@@ -7,6 +7,8 @@ use foresight_scheduler::lod_tree::{Aabb, RepId};
 pub struct DrawList {
     /// Of resident representations, splats and triangles alike.
     pub items: Vec<Item>,
+    /// Faces of environment maps, by what [`Environment`](crate::gpu::Environment) numbers them.
+    pub faces: Vec<u32>,
 }
 
 /// One representation in a frame.

@@ -3,5 +3,6 @@
 
 pub mod choose;
 pub mod controller;
+pub mod environment;
 pub mod list;
 pub mod tiles;

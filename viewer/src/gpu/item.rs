@@ -1,9 +1,11 @@
 //! What shaders know of a frame and of an item, as they lie in uniform buffers.
 
+use super::pipelines::Layouts;
 use super::relative::{Eye, narrow};
 use super::settings::{Background, Light, RenderSettings, linear};
 use crate::draw::list::{HIDDEN_MAX, Item};
 use crate::scene::content::SplatImage;
+use foresight_scheduler::lod_tree::Aabb;
 use glam::{DVec3, Vec3};
 
 /// `Frame` of frame.wgsl.
@@ -59,6 +61,7 @@ pub(crate) struct ItemUniform {
     tint: [f32; 4],
     size: [u32; 4],
     counts: [u32; 4],
+    face: [f32; 4],
     hidden: [[f32; 4]; 2 * HIDDEN_MAX],
 }
 
@@ -74,6 +77,20 @@ pub(crate) struct Lattice {
     step: f64,
     size: [u32; 2],
     has_normals: bool,
+    /// Of a face of an environment map.
+    face: Option<Perspective>,
+}
+
+/// How the pixels of a face lie: at `origin + distance·(x·right + y·up − towards_eye)`, the pixel's tangents being
+/// `first + pixel·(column, row)` and its distance `near`·65535/code.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Perspective {
+    /// Tangents of the first pixel's middle.
+    pub(crate) first: [f64; 2],
+    /// Least distance along the face's axis, metres.
+    pub(crate) near: f64,
+    /// Radius of a sample's disc, in pixels.
+    pub(crate) radius: f64,
 }
 
 impl Lattice {
@@ -87,7 +104,41 @@ impl Lattice {
             step: image.range / 1023.0,
             size: image.size,
             has_normals: !image.normals.is_empty(),
+            face: None,
         }
+    }
+
+    /// Of a face seen from `origin`, with unit vectors along columns, along rows, and into the face; `pixel` is a pixel's
+    /// tangent.
+    pub(crate) fn face(
+        origin: DVec3,
+        [right, up, forward]: [DVec3; 3],
+        pixel: f64,
+        size: [u32; 2],
+        face: Perspective,
+    ) -> Lattice {
+        let towards_eye = -forward;
+        Lattice { origin, right, up, towards_eye, pixel, step: 0.0, size, has_normals: false, face: Some(face) }
+    }
+
+    /// The box around the splats of a face's pixels from the middle of `low` to that of `high`, at distances from `near` to
+    /// `far` along its axis.
+    pub(crate) fn face_bounds(&self, low: [f64; 2], high: [f64; 2], near: f64, far: f64) -> Aabb {
+        let reach = self.radius() * self.pixel;
+        let first = self.face.map_or([0.0; 2], |face| face.first);
+        let mut bounds = Aabb::EMPTY;
+        for corner in 0..8 {
+            let pick = |axis: usize| {
+                let (at, margin) = if corner >> axis & 1 == 1 { (high[axis], reach) } else { (low[axis], -reach) };
+                first[axis] + at * self.pixel + margin
+            };
+            let distance = if corner >> 2 == 1 { far } else { near };
+            let point = self.origin + distance * (pick(0) * self.right + pick(1) * self.up - self.towards_eye);
+            bounds = bounds.union(Aabb { min: point, max: point });
+        }
+        // A disc faces the camera: it reaches out of the face's own plane too.
+        let reach = DVec3::splat(reach * far);
+        Aabb { min: bounds.min - reach, max: bounds.max + reach }
     }
 
     /// Columns and rows of a tile: a quarter of the image's, rounded up.
@@ -105,6 +156,9 @@ impl Lattice {
     /// Radius of a disc that covers a pixel, in pixels: half the square's diagonal, and what the rounding of neighbours'
     /// depths can part them by, seen at 45° from the view.
     fn radius(&self) -> f64 {
+        if let Some(face) = &self.face {
+            return face.radius;
+        }
         let rounding = if self.pixel > 0.0 { 0.5 * self.step / self.pixel } else { 0.0 };
         core::f64::consts::FRAC_1_SQRT_2 + rounding.clamp(0.0, 0.5)
     }
@@ -129,6 +183,7 @@ impl ItemUniform {
             tint,
             size: [1; 4],
             counts: [boxes.len() as u32, 0, 0, 0],
+            face: [0.0; 4],
             hidden,
         }
     }
@@ -147,6 +202,71 @@ impl ItemUniform {
         let tile = lattice.tile();
         uniform.size = [lattice.size[0], lattice.size[1], tile[0], tile[1]];
         uniform.counts[1] = u32::from(lattice.has_normals);
+        if let Some(face) = &lattice.face {
+            uniform.counts[2] = 1;
+            uniform.face = [face.first[0] as f32, face.first[1] as f32, face.near as f32, 0.0];
+        }
         uniform
+    }
+}
+
+/// The uniforms of a frame's items, one behind the other.
+#[derive(Debug)]
+pub(crate) struct Items {
+    buffer: wgpu::Buffer,
+    pub(crate) group: wgpu::BindGroup,
+    /// Bytes from one item's uniforms to the next's.
+    stride: usize,
+}
+
+/// Items of a frame that a first buffer takes; it is doubled as needed.
+const ITEMS_FIRST: usize = 256;
+
+impl Items {
+    pub(crate) fn new(device: &wgpu::Device, layouts: &Layouts) -> Items {
+        let stride = size_of::<ItemUniform>()
+            .next_multiple_of(device.limits().min_uniform_buffer_offset_alignment.max(16) as usize);
+        Items::of(device, layouts, stride, ITEMS_FIRST)
+    }
+
+    fn of(device: &wgpu::Device, layouts: &Layouts, stride: usize, count: usize) -> Items {
+        let buffer = device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("items"),
+            size: (stride * count) as u64,
+            usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        let size = core::num::NonZeroU64::new(size_of::<ItemUniform>() as u64);
+        let resource = wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: &buffer, offset: 0, size });
+        let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("items"),
+            layout: &layouts.item,
+            entries: &[wgpu::BindGroupEntry { binding: 0, resource }],
+        });
+        Items { buffer, group, stride }
+    }
+
+    /// Where the uniforms of the item with this number are.
+    pub(crate) fn offset(&self, number: usize) -> u32 {
+        (number * self.stride) as u32
+    }
+
+    /// Writes the uniforms of the items that come.
+    pub(crate) fn write(
+        &mut self,
+        device: &wgpu::Device,
+        queue: &wgpu::Queue,
+        layouts: &Layouts,
+        uniforms: impl ExactSizeIterator<Item = ItemUniform>,
+    ) {
+        let count = uniforms.len();
+        let mut bytes = vec![0u8; self.stride * count];
+        for (place, uniform) in bytes.chunks_exact_mut(self.stride).zip(uniforms) {
+            place[..size_of::<ItemUniform>()].copy_from_slice(bytemuck::bytes_of(&uniform));
+        }
+        if bytes.len() as u64 > self.buffer.size() {
+            *self = Items::of(device, layouts, self.stride, count.next_power_of_two());
+        }
+        queue.write_buffer(&self.buffer, 0, &bytes);
     }
 }

@@ -6,6 +6,7 @@
 mod compress;
 pub mod device;
 mod distance;
+pub mod environment;
 mod item;
 mod meshes;
 mod occlusion;
@@ -19,6 +20,7 @@ mod splats;
 mod targets;
 
 pub use device::{Gpu, GpuError, GpuSettings};
+pub use environment::{Environment, EnvironmentCounts, Share, Surroundings};
 pub use occlusion::OcclusionCounts;
 pub use picture::Picture;
 pub use renderer::{FrameCounts, Renderer};

@@ -14,7 +14,6 @@ use super::relative::Eye;
 use super::splats::Splats;
 use super::targets::Targets;
 use crate::draw::tiles::TILES;
-use foresight_scheduler::lod_tree::RepId;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
@@ -61,10 +60,13 @@ struct ViewRecord {
     near: [f32; 4],
 }
 
+/// What tiles are of: a representation, or beyond those a face of an environment map.
+pub(crate) type Key = u64;
+
 /// A tile of the frame.
 #[derive(Clone, Copy, Debug)]
 struct Tested {
-    rep: RepId,
+    key: Key,
     tile: u8,
     points: u32,
     /// Drawn before the test.
@@ -111,7 +113,7 @@ pub(crate) struct Occlusion {
     draws: Option<wgpu::Buffer>,
     asked: Vec<Asked>,
     /// Tiles seen in the last frame known.
-    seen: BTreeMap<RepId, u16>,
+    seen: BTreeMap<Key, u16>,
     counts: Option<OcclusionCounts>,
     tested: Vec<Tested>,
     records: Vec<TileRecord>,
@@ -226,9 +228,9 @@ impl Occlusion {
     }
 
     /// Takes an item's tiles up: which are drawn at once, and the draws of the rest.
-    pub(crate) fn add(&mut self, rep: RepId, tiles: u16, splats: &Splats, eye: &Eye) -> (u16, Rest) {
+    pub(crate) fn add(&mut self, key: Key, tiles: u16, splats: &Splats, eye: &Eye) -> (u16, Rest) {
         let start = self.arguments.len() as u32;
-        let guess = self.seen.get(&rep).copied().unwrap_or(0);
+        let guess = self.seen.get(&key).copied().unwrap_or(0);
         let mut at_once = 0;
         for tile in (0..TILES).filter(|tile| tiles >> tile & 1 == 1 && splats.tile_points[*tile] > 0) {
             let bit = 1 << tile;
@@ -247,7 +249,7 @@ impl Occlusion {
             let draws = self.arguments.len() as u32 - first;
             self.records.push(TileRecord { low: low.to_array(), first, high: high.to_array(), draws });
             let points = splats.tile_points[tile];
-            self.tested.push(Tested { rep, tile: tile as u8, points, at_once: at_once & bit != 0 });
+            self.tested.push(Tested { key, tile: tile as u8, points, at_once: at_once & bit != 0 });
         }
         (at_once, start..self.arguments.len() as u32)
     }
@@ -356,13 +358,13 @@ impl Occlusion {
 }
 
 /// What was seen in a frame, by its answers.
-fn answers(asked: &Asked) -> Option<(BTreeMap<RepId, u16>, OcclusionCounts)> {
+fn answers(asked: &Asked) -> Option<(BTreeMap<Key, u16>, OcclusionCounts)> {
     let mapped = asked.answers.get_mapped_range(..).ok()?;
     let (mut seen, mut counts) = (BTreeMap::new(), OcclusionCounts::default());
     for (tested, answer) in asked.tested.iter().zip(mapped.as_chunks::<4>().0) {
         let is_seen = u32::from_le_bytes(*answer) != 0;
         let drawn = is_seen || tested.at_once;
-        *seen.entry(tested.rep).or_insert(0) |= u16::from(is_seen) << tested.tile;
+        *seen.entry(tested.key).or_insert(0) |= u16::from(is_seen) << tested.tile;
         counts.tiles += 1;
         counts.tiles_drawn += u32::from(drawn);
         counts.points += u64::from(tested.points);

@@ -2,15 +2,15 @@
 
 use super::device::{Faults, Gpu, GpuError};
 use super::distance::Distance;
-use super::item::{FrameUniform, ItemUniform};
+use super::item::{FrameUniform, ItemUniform, Items};
 use super::meshes::{self, Triangles};
-use super::occlusion::{self, Occlusion, OcclusionCounts};
+use super::occlusion::{self, Key, Occlusion, OcclusionCounts};
 use super::pipelines::{Layouts, Pipelines};
 use super::relative::Eye;
 use super::settings::RenderSettings;
 use super::splats::{Splats, shared_indices};
 use super::targets::{Targets, fitting};
-use crate::draw::list::DrawList;
+use crate::draw::list::{ALL_TILES, DrawList, Item};
 use crate::draw::tiles::tiles_in_view;
 use crate::scene::content::Content;
 use crate::scene::resident::Uploads;
@@ -19,14 +19,16 @@ use foresight_scheduler::lod_tree::{Aabb, RepId};
 use foresight_scheduler::view::View;
 use std::collections::BTreeMap;
 
-/// Items of a frame that a first buffer takes; it is doubled as needed.
-const ITEMS_FIRST: usize = 256;
+/// The first of the keys of faces: greater than any representation's.
+const FACES: Key = 1 << 32;
 
 /// What a frame was drawn with.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FrameCounts {
     /// Samples of orthoviews in tiles that the view meets, those that turned out to be hidden too ([`Renderer::occlusion`]).
     pub points: u64,
+    /// Of these, samples of environment maps.
+    pub map_points: u64,
     /// Triangles of meshes.
     pub triangles: u64,
     /// Draw calls for both.
@@ -59,40 +61,72 @@ pub struct Renderer {
     pub(crate) faults: Faults,
     pub(crate) format: wgpu::TextureFormat,
     settings: RenderSettings,
-    layouts: Layouts,
+    pub(crate) layouts: Layouts,
     /// By samples a pixel; made when first needed.
     pipelines: BTreeMap<u32, (Pipelines, Distance)>,
     meshes: meshes::Shared,
     corners: wgpu::Buffer,
     frame: wgpu::Buffer,
     pub(crate) frame_group: wgpu::BindGroup,
-    items: wgpu::Buffer,
-    items_group: wgpu::BindGroup,
-    /// Bytes from one item's uniforms to the next's.
-    stride: usize,
+    items: Items,
     targets: Option<Targets>,
-    /// Whether the adapter can cull by occlusion at all.
-    can_cull: bool,
+    /// Whether the adapter can cull by occlusion, and make environment maps, at all.
+    pub(crate) can_compute: bool,
     occlusion: Option<Occlusion>,
     uploaded: BTreeMap<RepId, Uploaded>,
+    /// Faces of environment maps, by their numbers.
+    pub(crate) faces: BTreeMap<u32, Splats>,
     bytes: u64,
 }
 
-fn items_buffer(device: &wgpu::Device, layouts: &Layouts, bytes: usize) -> (wgpu::Buffer, wgpu::BindGroup) {
-    let buffer = device.create_buffer(&wgpu::BufferDescriptor {
-        label: Some("items"),
-        size: bytes as u64,
-        usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
-        mapped_at_creation: false,
-    });
-    let size = core::num::NonZeroU64::new(size_of::<ItemUniform>() as u64);
-    let resource = wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: &buffer, offset: 0, size });
-    let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
-        label: Some("items"),
-        layout: &layouts.item,
-        entries: &[wgpu::BindGroupEntry { binding: 0, resource }],
-    });
-    (buffer, group)
+/// What of a list is drawn.
+struct Drawn<'a> {
+    item: &'a Item,
+    key: Key,
+    what: Drawable<'a>,
+}
+
+#[derive(Clone, Copy)]
+enum Drawable<'a> {
+    Splats(&'a Splats),
+    Triangles(&'a Triangles),
+}
+
+impl Drawn<'_> {
+    fn uniform(&self, eye: &Eye) -> ItemUniform {
+        match self.what {
+            Drawable::Splats(splats) => ItemUniform::of_splats(self.item, eye, &splats.lattice),
+            Drawable::Triangles(triangles) => ItemUniform::of_mesh(self.item, eye, triangles.origin),
+        }
+    }
+}
+
+/// What of items is uploaded and shows anything.
+fn drawn<'a>(uploaded: &'a BTreeMap<RepId, Uploaded>, items: &'a [Item]) -> Vec<Drawn<'a>> {
+    let of = |item: &'a Item| {
+        let what = match uploaded.get(&item.rep)? {
+            Uploaded::Splats(splats) => Drawable::Splats(splats),
+            Uploaded::Triangles(triangles) => Drawable::Triangles(triangles),
+            Uploaded::Empty => return None,
+        };
+        Some(Drawn { item, key: u64::from(item.rep.0), what })
+    };
+    items.iter().filter_map(of).collect()
+}
+
+/// A face of an environment map while it is drawn.
+pub(crate) struct FacePass<'a> {
+    pub(crate) pipelines: &'a Pipelines,
+    pub(crate) targets: &'a Targets,
+    pub(crate) colours: &'a wgpu::TextureView,
+    /// Square, 90° wide.
+    pub(crate) view: View,
+    /// What is nearer along the face's axis is not drawn, metres.
+    pub(crate) near: f64,
+    /// Nothing in it is drawn.
+    pub(crate) cube: Aabb,
+    /// Whether this is the first part of it.
+    pub(crate) is_first: bool,
 }
 
 impl Renderer {
@@ -100,8 +134,6 @@ impl Renderer {
     pub fn new(gpu: &Gpu, settings: RenderSettings, format: wgpu::TextureFormat) -> Renderer {
         let device = gpu.device.clone();
         let layouts = Layouts::new(&device);
-        let stride = size_of::<ItemUniform>()
-            .next_multiple_of(device.limits().min_uniform_buffer_offset_alignment.max(16) as usize);
         let frame = device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("frame"),
             size: size_of::<FrameUniform>() as u64,
@@ -113,7 +145,7 @@ impl Renderer {
             layout: &layouts.frame,
             entries: &[wgpu::BindGroupEntry { binding: 0, resource: frame.as_entire_binding() }],
         });
-        let (items, items_group) = items_buffer(&device, &layouts, stride * ITEMS_FIRST);
+        let items = Items::new(&device, &layouts);
         Renderer {
             corners: shared_indices(&device),
             queue: gpu.queue.clone(),
@@ -127,12 +159,11 @@ impl Renderer {
             frame,
             frame_group,
             items,
-            items_group,
-            stride,
             targets: None,
-            can_cull: gpu.adapter.get_downlevel_capabilities().flags.contains(occlusion::NEEDS),
+            can_compute: gpu.adapter.get_downlevel_capabilities().flags.contains(occlusion::NEEDS),
             occlusion: None,
             uploaded: BTreeMap::new(),
+            faces: BTreeMap::new(),
             bytes: 0,
         }
     }
@@ -258,26 +289,19 @@ impl Renderer {
         let frustum = Frustum::new(&View { viewport: size, ..*view });
         let uniform = FrameUniform::new(&eye, &self.settings, size, self.format.is_srgb());
         self.queue.write_buffer(&self.frame, 0, bytemuck::bytes_of(&uniform));
-        let drawn: Vec<_> = list.items.iter().filter_map(|item| Some((item, self.uploaded.get(&item.rep)?))).collect();
-        let mut uniforms = vec![0u8; self.stride * drawn.len()];
-        for (place, (item, uploaded)) in uniforms.chunks_exact_mut(self.stride).zip(&drawn) {
-            let uniform = match uploaded {
-                Uploaded::Splats(splats) => ItemUniform::of_splats(item, &eye, &splats.lattice),
-                Uploaded::Triangles(triangles) => ItemUniform::of_mesh(item, &eye, triangles.origin),
-                Uploaded::Empty => continue,
-            };
-            place[..size_of::<ItemUniform>()].copy_from_slice(bytemuck::bytes_of(&uniform));
-        }
-        if uniforms.len() as u64 > self.items.size() {
-            let bytes = self.stride * drawn.len().next_power_of_two();
-            (self.items, self.items_group) = items_buffer(&self.device, &self.layouts, bytes);
-        }
-        self.queue.write_buffer(&self.items, 0, &uniforms);
+        let mut drawn = drawn(&self.uploaded, &list.items);
+        let whole = Item { rep: RepId(u32::MAX), hidden: Vec::new(), tiles: ALL_TILES, false_colour: None };
+        drawn.extend(list.faces.iter().filter_map(|number| {
+            let what = Drawable::Splats(self.faces.get(number)?);
+            Some(Drawn { item: &whole, key: FACES | u64::from(*number), what })
+        }));
+        let uniforms = drawn.iter().map(|drawn| drawn.uniform(&eye));
+        self.items.write(&self.device, &self.queue, &self.layouts, uniforms);
 
         let (Some(targets), Some((pipelines, _))) = (&self.targets, self.pipelines.get(&samples)) else {
             return Ok(FrameCounts::default());
         };
-        if self.can_cull && self.settings.occlusion {
+        if self.can_compute && self.settings.occlusion {
             drop(self.device.poll(wgpu::PollType::Poll));
             let occlusion = self.occlusion.get_or_insert_with(|| Occlusion::new(&self.device));
             occlusion.begin();
@@ -289,18 +313,19 @@ impl Renderer {
         let mut counts = FrameCounts::default();
         // What is left of items after the test.
         let mut rests = Vec::new();
-        for (place, (item, uploaded)) in drawn.iter().enumerate() {
-            let offset = (place * self.stride) as u32;
-            pass.set_bind_group(1, &self.items_group, &[offset]);
-            match uploaded {
-                Uploaded::Splats(splats) => {
+        for (place, Drawn { item, key, what }) in drawn.iter().enumerate() {
+            let offset = self.items.offset(place);
+            pass.set_bind_group(1, &self.items.group, &[offset]);
+            match what {
+                Drawable::Splats(splats) => {
                     let seen = tiles_in_view(&frustum, item, &splats.tile_bounds);
+                    let before = counts.points;
                     let mut tiles = seen;
                     if let Some(occlusion) = &mut self.occlusion {
                         let rest;
-                        (tiles, rest) = occlusion.add(item.rep, seen, splats, &eye);
+                        (tiles, rest) = occlusion.add(*key, seen, splats, &eye);
                         counts.points += splats.points(seen & !tiles);
-                        rests.push((offset, splats, rest));
+                        rests.push((offset, *splats, rest));
                     }
                     pass.set_pipeline(&pipelines.splats);
                     pass.set_bind_group(2, &splats.group, &[]);
@@ -308,13 +333,15 @@ impl Renderer {
                     let [points, draws] = splats.draw(&mut pass, tiles);
                     counts.points += points;
                     counts.draws += draws;
+                    if key & FACES != 0 {
+                        counts.map_points += counts.points - before;
+                    }
                 }
-                Uploaded::Triangles(mesh) => {
+                Drawable::Triangles(mesh) => {
                     let [triangles, draws] = mesh.draw(&mut pass, pipelines);
                     counts.triangles += triangles;
                     counts.draws += draws;
                 }
-                Uploaded::Empty => {}
             }
         }
         if let Some(occlusion) = &mut self.occlusion {
@@ -325,7 +352,7 @@ impl Renderer {
             pass.set_pipeline(&pipelines.splats);
             pass.set_index_buffer(self.corners.slice(..), wgpu::IndexFormat::Uint32);
             for (offset, splats, rest) in rests.into_iter().filter(|(_, _, rest)| !rest.is_empty()) {
-                pass.set_bind_group(1, &self.items_group, &[offset]);
+                pass.set_bind_group(1, &self.items.group, &[offset]);
                 pass.set_bind_group(2, &splats.group, &[]);
                 counts.draws += occlusion.draw_rest(&mut pass, rest);
             }
@@ -333,6 +360,57 @@ impl Renderer {
         pass.set_pipeline(&pipelines.sky);
         pass.draw(0..3, 0..1);
         Ok(counts)
+    }
+
+    /// Draws a face of an environment map, or goes on with it: items in their order, until `budget` points and triangles are
+    /// drawn; at least one. How many items were taken, and what they were.
+    pub(crate) fn compose(
+        &mut self,
+        encoder: &mut wgpu::CommandEncoder,
+        face: &FacePass<'_>,
+        items: &[Item],
+        budget: u64,
+    ) -> (usize, FrameCounts) {
+        let FacePass { pipelines, targets, view, cube, .. } = face;
+        let eye = Eye::new(view, targets.size, face.near);
+        let frustum = Frustum::new(view);
+        let uniform = FrameUniform::new(&eye, &self.settings, targets.size, true);
+        self.queue.write_buffer(&self.frame, 0, bytemuck::bytes_of(&uniform));
+        let drawn = drawn(&self.uploaded, items);
+        let uniforms = drawn.iter().map(|drawn| drawn.uniform(&eye));
+        self.items.write(&self.device, &self.queue, &self.layouts, uniforms);
+        let mut pass = targets.pass(encoder, face.colours, face.is_first, true);
+        pass.set_bind_group(0, &self.frame_group, &[]);
+        let mut counts = FrameCounts::default();
+        for (place, Drawn { item, what, .. }) in drawn.iter().enumerate() {
+            if place > 0 && counts.points + counts.triangles >= budget {
+                let taken = items.iter().position(|one| std::ptr::eq(one, *item)).unwrap_or(place);
+                return (taken, counts);
+            }
+            pass.set_bind_group(1, &self.items.group, &[self.items.offset(place)]);
+            let [points, triangles, draws] = match what {
+                Drawable::Splats(splats) => {
+                    let mut tiles = tiles_in_view(&frustum, item, &splats.tile_bounds);
+                    for (tile, bounds) in splats.tile_bounds.iter().enumerate() {
+                        let is_near = bounds.min.cmpgt(cube.min).all() && bounds.max.cmplt(cube.max).all();
+                        tiles &= !(u16::from(is_near) << tile);
+                    }
+                    pass.set_pipeline(&pipelines.splats);
+                    pass.set_bind_group(2, &splats.group, &[]);
+                    pass.set_index_buffer(self.corners.slice(..), wgpu::IndexFormat::Uint32);
+                    let [points, draws] = splats.draw(&mut pass, tiles);
+                    [points, 0, draws]
+                }
+                Drawable::Triangles(mesh) => {
+                    let [triangles, draws] = mesh.draw(&mut pass, pipelines);
+                    [0, triangles, draws]
+                }
+            };
+            counts.points += points;
+            counts.triangles += triangles;
+            counts.draws += draws;
+        }
+        (items.len(), counts)
     }
 
     /// Writes the distances of the frame encoded last into a texture of [`super::distance::FORMAT`] and the same size.

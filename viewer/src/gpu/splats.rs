@@ -8,6 +8,7 @@ use super::settings::Compression;
 use crate::scene::content::SplatImage;
 use foresight_scheduler::lod_tree::Aabb;
 use std::borrow::Cow;
+use std::ops::Range;
 use wgpu::util::DeviceExt;
 
 /// Pixels that the shared index buffer reaches: an image of 256 × 256 at once, larger ones in several draws.
@@ -26,7 +27,16 @@ pub(crate) fn shared_indices(device: &wgpu::Device) -> wgpu::Buffer {
     })
 }
 
-/// An orthoview on the GPU.
+/// Which numbers a tile's pixels have.
+#[derive(Clone, Debug)]
+pub(crate) enum Tiles {
+    /// All pixels of the tile: those of an orthoview, numbered tile by tile.
+    Pixels,
+    /// Those that show something: of a list of points.
+    Ranges(Box<[Range<u32>; 16]>),
+}
+
+/// An orthoview on the GPU, or a quarter of a face of an environment map.
 #[derive(Clone, Debug)]
 pub(crate) struct Splats {
     pub(crate) lattice: Lattice,
@@ -35,6 +45,7 @@ pub(crate) struct Splats {
     pub(crate) tile_bounds: [Aabb; 16],
     /// Samples in each tile that show something.
     pub(crate) tile_points: [u32; 16],
+    pub(crate) tiles: Tiles,
     pub(crate) bytes: u64,
 }
 
@@ -104,7 +115,7 @@ impl Splats {
         for bounds in tile_bounds.iter_mut().filter(|bounds| !bounds.is_empty()) {
             *bounds = Aabb { min: bounds.min - lattice.reach(), max: bounds.max + lattice.reach() };
         }
-        Ok(Some(Splats { lattice, group, tile_bounds, tile_points, bytes }))
+        Ok(Some(Splats { lattice, group, tile_bounds, tile_points, tiles: Tiles::Pixels, bytes }))
     }
 
     /// Samples in the tiles of a mask.
@@ -112,22 +123,30 @@ impl Splats {
         (0..16).filter(|tile| mask >> tile & 1 == 1).map(|tile| u64::from(self.tile_points[tile])).sum()
     }
 
+    /// The numbers of a tile's pixels.
+    fn range(&self, tile: usize) -> Range<u32> {
+        match &self.tiles {
+            Tiles::Pixels => {
+                let [columns, rows] = self.lattice.tile();
+                let area = columns * rows;
+                tile as u32 * area..(tile as u32 + 1) * area
+            }
+            Tiles::Ranges(ranges) => ranges[tile].clone(),
+        }
+    }
+
     /// A tile's draws as an indirect draw takes them.
     pub(crate) fn arguments(&self, tile: usize) -> impl Iterator<Item = [u32; 5]> + use<> {
-        let [columns, rows] = self.lattice.tile();
-        let area = columns * rows;
-        let first = tile as u32 * area;
-        (0..area.div_ceil(INDEXED_PIXELS)).map(move |part| {
-            let start = part * INDEXED_PIXELS;
-            [6 * (area - start).min(INDEXED_PIXELS), 1, 0, 4 * (first + start), 0]
+        let Range { start, end } = self.range(tile);
+        (0..(end - start).div_ceil(INDEXED_PIXELS)).map(move |part| {
+            let first = start + part * INDEXED_PIXELS;
+            [6 * (end - first).min(INDEXED_PIXELS), 1, 0, 4 * first, 0]
         })
     }
 
     /// Draws the tiles of a mask that show something, and counts points and draws. Neighbours in the order of tiles are
     /// one range.
     pub(crate) fn draw(&self, pass: &mut wgpu::RenderPass<'_>, mask: u16) -> [u64; 2] {
-        let [columns, rows] = self.lattice.tile();
-        let area = columns * rows;
         let (mut points, mut draws) = (0, 0);
         let is_drawn = |tile: usize| mask >> tile & 1 == 1 && self.tile_points[tile] > 0;
         let mut tile = 0;
@@ -136,12 +155,12 @@ impl Splats {
                 tile += 1;
                 continue;
             }
-            let mut first = tile as u32 * area;
+            let Range { start: mut first, mut end } = self.range(tile);
             while tile < 16 && is_drawn(tile) {
                 points += u64::from(self.tile_points[tile]);
+                end = self.range(tile).end;
                 tile += 1;
             }
-            let end = tile as u32 * area;
             while first < end {
                 let count = (end - first).min(INDEXED_PIXELS);
                 pass.draw_indexed(0..6 * count, 4 * first as i32, 0..1);

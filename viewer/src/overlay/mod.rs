@@ -6,7 +6,7 @@ mod panels;
 
 use crate::controls::rig::Mode;
 use crate::exchange::Status;
-use crate::gpu::{FrameCounts, Light, SplatShape};
+use crate::gpu::{EnvironmentCounts, FrameCounts, Light, SplatShape};
 use crate::scene::resident::Used;
 use colours::FalseColour;
 use glam::DVec3;
@@ -36,6 +36,8 @@ pub struct Look {
     pub smooth: bool,
     /// Whether less is drawn where a frame takes too long.
     pub holds_time: bool,
+    /// Whether what is far comes from environment maps.
+    pub maps: bool,
 }
 
 impl Default for Look {
@@ -50,6 +52,7 @@ impl Default for Look {
             ambient: 0.35,
             smooth: false,
             holds_time: true,
+            maps: false,
         }
     }
 }
@@ -94,6 +97,8 @@ pub struct Facts {
     pub frames_s: VecDeque<f32>,
     /// Drawn in the latest frame.
     pub counts: FrameCounts,
+    /// Environment maps in the latest frame, if they are wanted.
+    pub maps: Option<EnvironmentCounts>,
     /// Representations in the latest frame, and what of them stands in for others.
     pub items: usize,
     /// Stand-ins among them.

@@ -90,6 +90,11 @@ fn figures(ui: &mut Ui, facts: &Facts) {
         let counts = facts.counts;
         row("drawn", format!("{} points, {} triangles", counts.points, counts.triangles));
         row("", format!("{} contents, {} stand in, bias {:.2}", facts.items, facts.substitutes, facts.bias));
+        if let Some(maps) = &facts.maps {
+            let points = counts.map_points;
+            row("maps", format!("{} drawn for {} contents, {points} points", maps.maps_drawn, maps.left_out));
+            row("", format!("{} of 48 faces, {} made, {}", maps.faces, maps.maps_made, megabytes(maps.bytes)));
+        }
         let mode = match facts.mode {
             Some(Mode::Walk) => "walking",
             Some(Mode::Orbit) => "orbiting",
@@ -178,6 +183,7 @@ fn settings(ui: &mut Ui, look: &mut Look) {
     ui.add_enabled(look.lit, Slider::new(&mut look.ambient, 0.0..=1.0).text("from everywhere"));
     ui.checkbox(&mut look.smooth, "antialiasing [M]");
     ui.checkbox(&mut look.holds_time, "draw less where a frame takes too long [T]");
+    ui.checkbox(&mut look.maps, "far things from environment maps [N]");
     ui.checkbox(&mut look.keys, "keys [H]");
 }
 

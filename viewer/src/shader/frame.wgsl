@@ -29,6 +29,10 @@ fn srgb(light: vec3f) -> vec3f {
     return select(curve, 12.92 * clamped, clamped <= vec3f(0.0031308));
 }
 
+fn from_srgb(colour: vec3f) -> vec3f {
+    return select(pow((colour + 0.055) / 1.055, vec3f(2.4)), colour / 12.92, colour <= vec3f(0.04045));
+}
+
 // What the target is given for linear light.
 fn written(light: vec3f) -> vec4f {
     return vec4f(select(light, srgb(light), frame.size.w == 1u), 1.0);

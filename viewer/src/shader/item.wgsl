@@ -1,8 +1,8 @@
 // What is drawn at a time.
 
 struct Item {
-    // What the content's positions are relative to: the middle of the first pixel, or a mesh's origin.
-    // w: side of a pixel, metres.
+    // What the content's positions are relative to: the middle of the first pixel, a mesh's origin, or where a face is seen from.
+    // w: side of a pixel, metres; of a face's at distance 1.
     origin: vec4f,
     // Image axes, unit; w of the first: metres of a step of depth; of the second: the disc's radius in pixels.
     right: vec4f,
@@ -12,8 +12,11 @@ struct Item {
     tint: vec4f,
     // Columns and rows of the image, and of a tile.
     size: vec4u,
-    // x: boxes that are left out; y: 1 if the image has normals.
+    // x: boxes that are left out; y: 1 if the image has normals; z: 1 if it is a face of an environment map.
     counts: vec4u,
+    // Of a face: the tangents of the first pixel's middle to the right and upwards; metres along the face's axis at the largest
+    // code of depth.
+    face: vec4f,
     // Least and greatest corners of the boxes in turn.
     hidden: array<vec4f, 16>,
 }

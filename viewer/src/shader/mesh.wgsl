@@ -27,10 +27,6 @@ struct Surface {
     @location(3) at: vec3f,
 }
 
-fn from_srgb(colour: vec3f) -> vec3f {
-    return select(pow((colour + 0.055) / 1.055, vec3f(2.4)), colour / 12.92, colour <= vec3f(0.04045));
-}
-
 @vertex
 fn vertex(corner: Corner) -> Surface {
     var surface: Surface;

@@ -1,5 +1,6 @@
 // Orthoviews: a quad a pixel, of which a disc is kept. [HIBR] §5.2, in three dimensions instead of on the screen: the
-// quad is spanned by the disc's own axes, so that the rasteriser does the projection exactly.
+// quad is spanned by the disc's own axes, so that the rasteriser does the projection exactly. Faces of environment maps
+// too: their samples are lit already, lie along rays instead of parallels, and are circles that face the camera.
 
 @group(2) @binding(0) var colours: texture_2d<f32>;
 @group(2) @binding(1) var shapes: texture_2d<u32>;
@@ -32,6 +33,8 @@ struct Splat {
     // Relative to the eye.
     @location(2) at: vec3f,
     @location(3) @interpolate(flat) centre: vec3f,
+    // Of the sample's pixel, metres.
+    @location(4) @interpolate(flat) side: f32,
 }
 
 // The unit vector of two bytes on the octahedron; bytes of 128 are 0.
@@ -54,6 +57,24 @@ fn position_at(pixel: vec2u, shape: u32) -> vec3f {
     return item.origin.xyz + along - item.towards_eye.xyz * (f32(shape & DEPTH) * item.right.w);
 }
 
+// A point of a face of an environment map, by its number in the list: what environment.wgsl has written.
+fn face_splat(number: u32, corner: vec2f) -> Splat {
+    var splat: Splat;
+    let columns = textureDimensions(shapes).x;
+    let entry = textureLoad(shapes, vec2u(number % columns, number / columns), 0).xy;
+    let pixel = vec2f(vec2u(entry.x, entry.x >> 12u) & vec2u(0xfffu));
+    // Codes are the reciprocal of metres along the face's axis, from 1 for the farthest.
+    let distance = item.face.z * 65535.0 / f32(entry.y & 0xffffu);
+    let tangent = item.face.xy + pixel * item.origin.w;
+    splat.centre = item.origin.xyz + (item.right.xyz * tangent.x + item.up.xyz * tangent.y - item.towards_eye.xyz) * distance;
+    splat.side = item.origin.w * distance;
+    splat.disc = corner;
+    splat.at = splat.centre + (frame.right.xyz * corner.x + frame.up.xyz * corner.y) * (item.up.w * splat.side);
+    splat.position = frame.clip_from_relative * vec4f(splat.at, 1.0);
+    splat.light = from_srgb(vec3f(vec3u(entry.x >> 24u, entry.y >> 16u, entry.y >> 24u) & vec3u(0xffu)) / 255.0);
+    return splat;
+}
+
 // Pixels are numbered tile by tile, row by row within each: a tile is one range of vertices. Tiles of the last column and
 // row may reach beyond the image.
 fn pixel_of(number: u32) -> vec2u {
@@ -70,6 +91,10 @@ fn vertex(@builtin(vertex_index) index: u32) -> Splat {
     var splat: Splat;
     // Beyond the near plane: nothing is drawn.
     splat.position = vec4f(0.0, 0.0, 2.0, 1.0);
+    let corner = vec2f(f32(index & 1u), f32((index >> 1u) & 1u)) * 2.0 - 1.0;
+    if item.counts.z == 1u {
+        return face_splat(index >> 2u, corner);
+    }
     let pixel = pixel_of(index >> 2u);
     if any(pixel >= item.size.xy) {
         return splat;
@@ -80,6 +105,8 @@ fn vertex(@builtin(vertex_index) index: u32) -> Splat {
     }
     let centre = position_at(pixel, shape);
     let side = item.origin.w;
+    splat.side = side;
+    splat.disc = corner;
     if item.counts.x != 0u && is_hidden_around(centre, 3.0 * side) {
         return splat;
     }
@@ -104,8 +131,6 @@ fn vertex(@builtin(vertex_index) index: u32) -> Splat {
         u = item.right.xyz - item.towards_eye.xyz * slope.x;
         v = item.up.xyz - item.towards_eye.xyz * slope.y;
     }
-    let corner = vec2f(f32(index & 1u), f32((index >> 1u) & 1u)) * 2.0 - 1.0;
-    splat.disc = corner;
     splat.centre = centre;
     splat.at = centre + (u * corner.x + v * corner.y) * (radius * side);
     splat.position = frame.clip_from_relative * vec4f(splat.at, 1.0);
@@ -156,7 +181,7 @@ fn fragment(splat: Splat) -> Written {
     }
     // Farther back by the square of the distance from the middle: where discs overlap, the nearest sample is shown.
     let aside = splat.at - splat.centre;
-    let back = BULGE * dot(aside, aside) / item.origin.w;
+    let back = BULGE * dot(aside, aside) / splat.side;
     out.depth = frame.forward.w / (1.0 / splat.position.w + back);
     out.colour = written(splat.light);
     return out;

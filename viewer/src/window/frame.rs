@@ -11,9 +11,10 @@ use crate::controls::recorder::Recorder;
 use crate::controls::rig::{Input, Mode, Rig};
 use crate::draw::choose::{ChooseCounts, ChooseSettings, choose};
 use crate::draw::controller::{Controller, ControllerSettings};
+use crate::draw::environment::EnvironmentSettings;
 use crate::draw::list::DrawList;
 use crate::exchange::{Exchange, Link};
-use crate::gpu::{Background, FrameCounts, GpuError, RenderSettings};
+use crate::gpu::{Background, FrameCounts, GpuError, RenderSettings, Share, Surroundings};
 use crate::overlay::colours::{self, FalseColour};
 use crate::overlay::{Facts, Look, show};
 use crate::statistics::Histogram;
@@ -60,6 +61,8 @@ pub(super) struct Flyer<'a> {
     notices: VecDeque<(String, u64)>,
     limited: Option<String>,
     worth: BTreeMap<RepId, f64>,
+    /// Environment maps made since they were last switched on, or the device opened.
+    maps_made: u64,
     judged_ns: u64,
     /// Bytes received by then.
     rated: (u64, u64),
@@ -92,8 +95,12 @@ impl<'a> Flyer<'a> {
             rig,
             fov_y: settings.fov_y,
             view,
-            look: Look { holds_time: settings.frame_s.is_some(), ..Look::default() },
-            stage: Stage::new(&settings.world, &settings.source, settings.memory)?,
+            look: Look {
+                holds_time: settings.frame_s.is_some(),
+                maps: settings.environment.is_some(),
+                ..Look::default()
+            },
+            stage: Stage::new(&settings.world, &settings.source, settings.contents_memory)?,
             list: DrawList::default(),
             controller: Controller::new(ControllerSettings::new(frame_s)).ok(),
             recorder: None,
@@ -102,6 +109,7 @@ impl<'a> Flyer<'a> {
             notices: VecDeque::new(),
             limited: None,
             worth: BTreeMap::new(),
+            maps_made: 0,
             judged_ns: 0,
             rated: (now_ns, 0),
             opened_ns: now_ns,
@@ -202,6 +210,7 @@ impl<'a> Flyer<'a> {
             Action::LightAround => self.look.turn_sun(),
             Action::LightHigher => self.look.raise_sun(),
             Action::Samples => self.look.smooth = !self.look.smooth,
+            Action::Maps => self.look.maps = !self.look.maps,
             Action::HoldTime => self.look.holds_time = !self.look.holds_time,
             _ => {}
         }
@@ -296,14 +305,36 @@ impl<'a> Flyer<'a> {
         let chosen = self.choose(dt, now_ns);
         self.facts.substitutes = chosen.substitutes;
         self.facts.items = self.list.items.len();
+        let drawn = self.far(screen)?;
         let painted = self.paint(egui, window);
-        let presented = screen.draw(&self.view, &self.list, dt, painted)?;
+        let presented = screen.draw(&self.view, &drawn, dt, painted)?;
         if std::mem::take(&mut self.wants_picture) {
-            self.picture(screen)?;
+            self.picture(screen, &drawn)?;
         }
         let Presented::Shown(counts) = presented else { return Ok(false) };
         self.count(counts, dt);
         Ok(true)
+    }
+
+    /// Puts environment maps in place of what is far, where they are wanted.
+    fn far(&mut self, screen: &mut Screen) -> Result<DrawList, GpuError> {
+        let tree = &self.settings.world.tree;
+        let settings = self.look.maps.then(|| {
+            let given = self.settings.environment;
+            given.unwrap_or_else(|| EnvironmentSettings::for_world(&tree.bounds(tree.root())))
+        });
+        let used = self.stage.used().total();
+        let bytes = self.settings.memory.saturating_sub(used);
+        let share = Share { bytes, frames: 1, waits: false };
+        let choose = ChooseSettings::default();
+        let around = Surroundings { tree, resident: self.stage.drawable(), choose: &choose };
+        let (drawn, maps) = screen.far(settings, around, &self.view, &self.list, share)?;
+        let bytes = maps.as_ref().map_or(0, |maps| maps.bytes);
+        self.outcome.memory_max = self.outcome.memory_max.max(used + bytes);
+        self.outcome.maps_made += maps.as_ref().map_or(0, |maps| maps.maps_made).saturating_sub(self.maps_made);
+        self.maps_made = maps.as_ref().map_or(0, |maps| maps.maps_made);
+        self.facts.maps = maps;
+        Ok(drawn)
     }
 
     fn count(&mut self, counts: FrameCounts, dt: Option<f64>) {
@@ -380,6 +411,7 @@ impl<'a> Flyer<'a> {
             let text = format!("{} contents cannot be shown; the latest: {fault}", self.stage.broken);
             facts.notices.push(text);
         }
+        facts.notices.extend(facts.maps.as_ref().and_then(|maps| maps.refused.clone()));
         let deferred = self.stage.deferred();
         if deferred > 0 {
             facts.notices.push(format!("Memory is full: {deferred} contents that are here wait for room"));
@@ -405,8 +437,8 @@ impl<'a> Flyer<'a> {
     }
 
     /// Writes the picture as it is, without what is painted over it.
-    fn picture(&mut self, screen: &mut Screen) -> Result<(), GpuError> {
-        let picture = match screen.picture(&self.view, &self.list) {
+    fn picture(&mut self, screen: &mut Screen, list: &DrawList) -> Result<(), GpuError> {
+        let picture = match screen.picture(&self.view, list) {
             Ok(picture) => picture,
             Err(lost @ GpuError::Lost(_)) => return Err(lost),
             Err(error) => {
@@ -440,7 +472,7 @@ impl<'a> Flyer<'a> {
             shown: self.stage.shown,
             broken: self.stage.broken,
             bytes_received: status.received,
-            memory_max: self.stage.used_max(),
+            memory_max: self.stage.used_max().max(self.outcome.memory_max),
             ..self.outcome
         }
     }

@@ -14,6 +14,7 @@ mod stage;
 
 use crate::clock::Clock;
 use crate::controls::rig::Mode;
+use crate::draw::environment::EnvironmentSettings;
 use crate::exchange::{Exchange, Link, Status};
 use crate::fetch::Http;
 use crate::gpu::GpuError;
@@ -63,6 +64,10 @@ pub struct WindowSettings {
     pub decider: Decider,
     /// Memory for everything, bytes.
     pub memory: u64,
+    /// Of that, what contents may take; environment maps take what is left.
+    pub contents_memory: u64,
+    /// What is far comes from environment maps from the beginning on; `None`: only once they are switched on.
+    pub environment: Option<EnvironmentSettings>,
     /// A path to be played, 60 views a second; its first view is where the camera begins.
     pub path: Option<Vec<View>>,
     /// Close the window at the path's end.
@@ -138,8 +143,10 @@ pub struct Outcome {
     pub bytes_received: u64,
     /// Memory budget, bytes.
     pub memory_budget: u64,
-    /// Most memory used: as it came, decoded, on the GPU.
+    /// Most memory used: as it came, decoded, on the GPU, environment maps.
     pub memory_max: u64,
+    /// Environment maps made.
+    pub maps_made: u64,
     /// How often the graphics device was opened anew.
     pub devices_lost: u64,
     /// How often the server was away.

@@ -1,6 +1,8 @@
 //! The window's surface, the device that draws into it, and what is painted over the picture.
 
+use crate::draw::environment::EnvironmentSettings;
 use crate::draw::list::DrawList;
+use crate::gpu::{Environment, EnvironmentCounts, Share, Surroundings};
 use crate::gpu::{
     FadeSettings, FrameCounts, Gpu, GpuError, GpuSettings, Picture, RenderSettings, Renderer, Reprojection,
 };
@@ -38,6 +40,7 @@ pub(super) struct Screen {
     surface: wgpu::Surface<'static>,
     pub(super) renderer: Renderer,
     fade: Reprojection,
+    environment: Option<Environment>,
     painter: egui_wgpu::Renderer,
     config: wgpu::SurfaceConfiguration,
     /// As the window is.
@@ -107,6 +110,7 @@ impl Screen {
             surface,
             renderer,
             fade,
+            environment: None,
             painter,
             config,
             wanted: [0, 0],
@@ -167,6 +171,30 @@ impl Screen {
                 self.side_max()
             )
         })
+    }
+
+    /// Makes environment maps as far as `share` goes, or lets them go where there are to be none, and gives the list that
+    /// is to be drawn in place of `list`.
+    ///
+    /// # Errors
+    /// A lost device.
+    pub(super) fn far(
+        &mut self,
+        settings: Option<EnvironmentSettings>,
+        around: Surroundings<'_>,
+        view: &View,
+        list: &DrawList,
+        share: Share,
+    ) -> Result<(DrawList, Option<EnvironmentCounts>), GpuError> {
+        let Some(settings) = settings else {
+            if let Some(mut environment) = self.environment.take() {
+                environment.clear(&mut self.renderer);
+            }
+            return Ok((list.clone(), None));
+        };
+        let environment = self.environment.get_or_insert_with(|| Environment::new(settings));
+        let drawn = environment.prepare(&mut self.renderer, around, view, list, share)?;
+        Ok((drawn, Some(environment.counts().clone())))
     }
 
     /// Draws a frame, `elapsed_s` seconds after the one before if there was one, and what is painted over it.

@@ -117,6 +117,7 @@ impl Scene {
             everything: run.everything,
             against: run.against,
             choose: run.choose,
+            environment: None,
             ticks_per_picture: TICKS_PER_SECOND / run.rate,
         };
         let flown = fly(&headless, offscreen, Some(references), &mut |shown| {

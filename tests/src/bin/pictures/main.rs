@@ -4,6 +4,7 @@ mod controller;
 mod cost;
 mod culled;
 mod directions;
+mod environment;
 mod fading;
 mod flights;
 mod offset;
@@ -26,7 +27,7 @@ use std::process::ExitCode;
 /// Measures what the viewer draws
 #[derive(Debug, Parser)]
 #[command(
-    after_help = "Examples:\n  pictures quality --out out\n  pictures streamed --small\n  pictures resident --sun --out out\n  pictures directions --worlds built --out out\n  pictures shapes --small --out out\n  pictures cost --worlds built\n  pictures offset --worlds built"
+    after_help = "Examples:\n  pictures quality --out out\n  pictures streamed --small\n  pictures resident --sun --out out\n  pictures directions --worlds built --out out\n  pictures shapes --small --out out\n  pictures cost --worlds built\n  pictures offset --worlds built\n  pictures environment --small"
 )]
 struct Cli {
     #[command(subcommand)]
@@ -81,6 +82,8 @@ enum Figure {
     },
     /// Points in memory, in view and after occlusion culling along paths (HIBR Figure 10), and what that culling gains
     Culled,
+    /// What is far from environment maps: points, time a frame, what making them costs, likeness (DRVW 6)
+    Environment,
     /// A target frame time held while a city is entered: p90 from 60 frames after (NVE 4.5, 4.6)
     Controller,
     /// Popping: the largest change between successive frames of a slow walk, with and without fading (HIBR 5.3)
@@ -225,6 +228,10 @@ fn measured(cli: &Cli, folder: &Path) -> Result<Findings, Fault> {
             streamed::findings(&scenes, *rate, MEMORY)
         }
         Figure::Culled => culled::findings(&culled::flights(folder, cli.small)?),
+        Figure::Environment => {
+            let flights = environment::flights(folder, cli.small, cli.only.as_deref(), cli.size())?;
+            environment::findings(&flights, cli.small)
+        }
         Figure::Controller => controller::findings(&street::open(folder, cli.small)?, cli.small),
         Figure::Fading => fading::findings(&street::open(folder, cli.small)?, cli.small),
         Figure::Resident { rate, sun } => {

@@ -132,7 +132,8 @@ pub fn choose(
     choose_in(&world.tree, world.root_sample, resident, view, settings, list)
 }
 
-fn choose_in(
+/// As [`choose`], of a tree.
+pub fn choose_in(
     tree: &foresight_scheduler::lod_tree::LodTree,
     root_sample: Option<f64>,
     resident: &BTreeSet<RepId>,
