@@ -167,6 +167,28 @@ fn boxes_without_volume_and_eyes_within_boxes() {
 }
 
 #[test]
+fn an_eye_where_the_faces_of_tiles_meet() {
+    // As on a path along the middle of a terrain: within four boxes at once, or one step aside within two.
+    let tile = |x: f64, z: f64| (DVec3::new(5.0 * x, 0.0, 5.0 * z), DVec3::new(5.0, 3.0, 5.0), 1.0);
+    let (tree, coverage) = world(&[tile(-1.0, -1.0), tile(-1.0, 1.0), tile(1.0, -1.0), tile(1.0, 1.0)]);
+    for eye in [DVec3::ZERO, DVec3::new(0.0, 0.0, 2.0), DVec3::new(5e-324, 0.0, 2.0), DVec3::new(0.0, 3.0, 0.0)] {
+        let (union, _) = check(&tree, &coverage, &free(eye, 0.4, 0.2));
+        assert!(union.gap() <= 1e-9, "{eye}: {union:?}");
+    }
+}
+
+#[test]
+fn a_wall_that_fills_every_reachable_view() {
+    // Bounds of a few boxes of views are enough: nothing that they could turn to shows less of it.
+    let (tree, coverage) = world(&[(DVec3::new(0.0, 0.0, -6.0), DVec3::new(80.0, 80.0, 4.0), 1.0)]);
+    let targets =
+        Targets::new(&tree, &free(DVec3::ZERO, 0.3, 0.2), &coverage, &CutSettings::default()).expect("legal settings");
+    let settings = MinimumSettings { evaluations_max: 50, samples: 1, tolerance: 0.0 };
+    let found = certified(&targets, &free(DVec3::ZERO, 0.3, 0.2), &settings).expect("legal settings");
+    assert!(found.gap() <= 0.01, "{found:?}");
+}
+
+#[test]
 fn importance_of_nothing_and_of_everything() {
     for importance in [0.0, f32::from_bits(1), 1e-30, 1e30] {
         let (a, b) = (DVec3::new(0.0, 0.0, -9.0), DVec3::new(3.0, 0.0, -9.0));

@@ -28,6 +28,43 @@ pub fn of_box_in_frustum(centre: DVec3, half: DVec3, frustum: &Frustum, straddle
     outline.solid_angle().clamp(0.0, frustum.solid_angle)
 }
 
+/// Solid angle (sr) of what a frustum narrower than a hemisphere shows on the inner side of all `planes`: normals of planes
+/// through the eye, at most six.
+pub(crate) fn of_frustum_within(frustum: &Frustum, planes: &[DVec3]) -> f64 {
+    let [left, right, bottom, top] = frustum.planes;
+    let mut view = Polygon { corners: [DVec3::ZERO; 10], count: 4 };
+    for (place, (a, b)) in view.corners.iter_mut().zip([(left, bottom), (right, bottom), (right, top), (left, top)]) {
+        let ray = a.cross(b).normalize_or_zero();
+        *place = if ray.dot(frustum.forward) < 0.0 { -ray } else { ray };
+    }
+    for plane in planes {
+        view = clip(&view, *plane);
+    }
+    view.solid_angle().clamp(0.0, frustum.solid_angle)
+}
+
+/// Inward unit normals of the planes through the eye and the edges of a box's outline, and how many; `None` from within, and
+/// where the ends of an edge are seen less than a milliradian apart, or opposite each other.
+pub(crate) fn outline_planes(centre: DVec3, half: DVec3) -> Option<([DVec3; 6], usize)> {
+    let outline = outline(centre, half)?;
+    let (mut planes, mut count) = ([DVec3::ZERO; 6], 0);
+    for k in 0..outline.count {
+        let (a, b) = (outline.corners[k], outline.corners[(k + 1) % outline.count]);
+        // The sides of what is flat.
+        if a == b {
+            continue;
+        }
+        let normal = a.try_normalize()?.cross(b.try_normalize()?);
+        let length = normal.length();
+        if length <= 1e-3 || length.is_nan() {
+            return None;
+        }
+        planes[count] = if normal.dot(centre) < 0.0 { -normal / length } else { normal / length };
+        count += 1;
+    }
+    Some((planes, count))
+}
+
 /// The outline of a box seen from the origin, corner by corner; `None` from within. Its edges are seen as arcs of great
 /// circles, and what they enclose is convex.
 fn outline(centre: DVec3, half: DVec3) -> Option<Polygon> {

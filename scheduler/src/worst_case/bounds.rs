@@ -138,19 +138,28 @@ fn rectangle(z: f64, x: (f64, f64), y: (f64, f64)) -> Option<f64> {
 /// Interval of the solid angle (sr), unclipped, of the box at `centre` (relative to the middle of the eyes) with half
 /// sides `half`, over eyes within `spread` along each axis and within `radius`; 4π from within.
 ///
-/// Every front face is z·∫dA/r³, z its distance along its axis: moving by δ, z changes by at most δ_k and r by the factor
-/// 1 ± δ/d, d the distance to the face. That, or the area × z/d³ from the nearest point, whichever is less.
+/// A front face at distance z is z·∫dA/r³. For one z it falls with the eye's distance from the face's middle along either
+/// axis, so that the least and the greatest such distances bound it; for one place across, the integral falls with z, and
+/// above the face so does the whole. That, or the area × z/d³ from the nearest point, whichever is less.
 pub fn solid_angle(centre: DVec3, half: DVec3, spread: DVec3, radius: f64) -> Interval {
     // Rounding of the coordinates counts as motion.
     let blur = 4.0 * f64::EPSILON * (centre.abs() + half);
-    let spread = spread + blur;
-    let radius = radius + 2.0 * blur.max_element();
+    solid_angle_over(centre, half, spread + blur, radius + 2.0 * blur.max_element())
+}
+
+/// As [`solid_angle`] from one eye; the box is where doubles have it, so that the eye is within or not.
+pub fn solid_angle_from_eye(centre: DVec3, half: DVec3) -> Interval {
+    solid_angle_over(centre, half, DVec3::ZERO, 0.0)
+}
+
+fn solid_angle_over(centre: DVec3, half: DVec3, spread: DVec3, radius: f64) -> Interval {
     let off = centre.abs();
     let outside = off - half;
     if (off + spread).cmple(half).all() {
         return Interval { lo: 4.0 * PI, hi: 4.0 * PI };
     }
     let may_be_within = outside.cmple(spread).all();
+    let (near, far) = ((off - spread).max(DVec3::ZERO), off + spread);
     let mut sum = Interval::default();
     for axis in 0..3 {
         let (i, j) = ((axis + 1) % 3, (axis + 2) % 3);
@@ -165,23 +174,24 @@ pub fn solid_angle(centre: DVec3, half: DVec3, spread: DVec3, radius: f64) -> In
         let distance = libm::hypot(z.max(0.0), across);
         let nearest = gap.length().max(distance - radius);
         let area = 4.0 * half[i] * half[j];
-        let crude =
-            if nearest > 0.0 { area * (z + spread[axis]) / (nearest * nearest * nearest) } else { f64::INFINITY };
+        let (z_near, z_far) = (z - spread[axis], z + spread[axis]);
+        let crude = if nearest > 0.0 { area * z_far / (nearest * nearest * nearest) } else { f64::INFINITY };
         let mut hi = if crude < 2.0 * PI { crude } else { 2.0 * PI };
-        if z > spread[axis] {
-            let across = (centre[i] - half[i], centre[i] + half[i]);
-            let Some(here) = rectangle(z, across, (centre[j] - half[j], centre[j] + half[j])) else {
-                sum.hi += hi;
-                continue;
+        if z_near > 0.0 {
+            let seen_from = |z: f64, at: DVec3| {
+                rectangle(z, (at[i] - half[i], at[i] + half[i]), (at[j] - half[j], at[j] + half[j]))
             };
-            let towards = 1.0 - radius / distance;
-            if towards > 0.0 {
-                hi = hi.min(here * (1.0 + spread[axis] / z) / (towards * towards * towards) + 1e-14);
+            // Eyes that all lie above the face see it grow as they come nearer.
+            let grows = far[i] <= half[i] && far[j] <= half[j];
+            let stretch = if grows { 1.0 } else { z_far / z_near };
+            if let Some(most) = seen_from(z_near, near) {
+                hi = hi.min(most * stretch + 1e-14);
             }
-            let away = 1.0 + radius / distance;
-            let far = (DVec3::new(z, off[i] + half[i], off[j] + half[j]) + spread).length();
-            let lo = (here * (1.0 - spread[axis] / z) / (away * away * away) - 1e-14)
-                .max(area * (z - spread[axis]) / (far * far * far));
+            let farthest = DVec3::new(z_far, far[i] + half[i], far[j] + half[j]).length();
+            let mut lo = area * z_near / (farthest * farthest * farthest);
+            if let Some(least) = seen_from(z_far, far) {
+                lo = lo.max(least / stretch - 1e-14);
+            }
             if lo > 0.0 {
                 sum.lo += lo;
             }
@@ -227,30 +237,99 @@ impl Lens {
         Lens { half: (across, up), right_up: (view.orientation * DVec3::X, view.orientation * DVec3::Y), frustum }
     }
 
-    /// A pyramid that contains the frustum turned by any rotation of at most `turn`. A cap of `turn` about a direction at
-    /// elevation φ spans asin(sin(turn)/cos φ) of azimuth; φ is at most the half angle the other way. A plane that
-    /// would have to be turned past the right angle is left out.
-    pub fn widened(&self, turn: f64) -> Frustum {
-        self.turned(turn, 1.0)
+    /// The camera's right and up.
+    pub fn axes(&self) -> [DVec3; 2] {
+        [self.right_up.0, self.right_up.1]
     }
 
-    /// A pyramid that every rotation of the frustum by at most `turn` contains; `None` if there is no such.
-    pub fn narrowed(&self, turn: f64) -> Option<Frustum> {
-        let narrow = self.turned(turn, -1.0);
-        narrow.solid_angle.is_finite().then_some(narrow)
+    /// The corners of what is shown at distance 1 along the line of sight.
+    pub fn corners(&self) -> [DVec3; 4] {
+        let (right, up) = (self.right_up.0 * libm::tan(self.half.0), self.right_up.1 * libm::tan(self.half.1));
+        let forward = self.frustum.forward;
+        [forward - right - up, forward + right - up, forward + right + up, forward - right + up]
     }
 
-    fn turned(&self, turn: f64, sign: f64) -> Frustum {
+    /// A pyramid that contains the frustum turned by any rotation of at most `turn` that is one of angular velocities of at
+    /// most `turns` about the camera's axes in unit time.
+    pub fn widened(&self, turn: f64, turns: DVec3) -> Frustum {
         if turn <= 0.0 {
             return self.frustum;
         }
-        let (right, up) = self.right_up;
-        let sin = if turn < core::f64::consts::FRAC_PI_2 { libm::sin(turn) } else { 1.0 };
+        let (across, high) = self.by_cap(turn, 1.0);
+        let by_axis = self.widened_by_axis(turns);
+        // Both hold, and so does what they have in common.
+        let least = |cap: Option<f64>, axis: Option<f64>| match (cap, axis) {
+            (Some(a), Some(b)) => Some(a.min(b)),
+            (a, b) => a.or(b),
+        };
+        self.with(least(across, by_axis.map(|a| a.0)), least(high, by_axis.map(|a| a.1)), turn)
+    }
+
+    /// A pyramid that every such rotation of the frustum contains; `None` if there is no such.
+    pub fn narrowed(&self, turn: f64, turns: DVec3) -> Option<Frustum> {
+        if turn <= 0.0 {
+            return Some(self.frustum);
+        }
+        let some = |(across, high): (f64, f64)| {
+            (across > 0.0 && high > 0.0).then(|| self.with(Some(across), Some(high), -turn))
+        };
+        let by_cap = match self.by_cap(turn, -1.0) {
+            (Some(across), Some(high)) => some((across, high)),
+            _ => None,
+        };
+        let (a, b) = self.half;
+        let by_axis = some((
+            a - turns.y - libm::tan(b) * (0.5 * turns.x + turns.z),
+            b - turns.x - libm::tan(a) * (0.5 * turns.y + turns.z),
+        ));
+        // Each holds by itself; the larger is taken.
+        [by_cap, by_axis].into_iter().flatten().max_by(|a, b| a.solid_angle.total_cmp(&b.solid_angle))
+    }
+
+    /// Half angles across and up, wider or narrower by a cap of `turn`: about a direction at elevation φ it spans
+    /// asin(sin(turn)/cos φ) of azimuth, and φ is at most the half angle the other way. `None` where a plane would have to be
+    /// turned past the right angle.
+    fn by_cap(&self, turn: f64, sign: f64) -> (Option<f64>, Option<f64>) {
+        let sin = if turn < FRAC_PI_2 { libm::sin(turn) } else { 1.0 };
         let widen = |half: f64, other: f64| {
             let ratio = sin / libm::cos(other);
             if ratio < 1.0 { Some(half + sign * libm::asin(ratio)).filter(|a| *a < FRAC_PI_2) } else { None }
         };
-        let (across, high) = (widen(self.half.0, self.half.1), widen(self.half.1, self.half.0));
+        (widen(self.half.0, self.half.1), widen(self.half.1, self.half.0))
+    }
+
+    /// The azimuth α and the elevation β of a direction in the turning camera's frame, tan α = x/−z and tan β = y/−z, change
+    /// at |α̇| ≤ |ω_y| + tan β·(|ω_x|·sin(2α)/2 + |ω_z|·cos²α), β likewise. So A = a + Y + tan B·(X/2 + Z·cos²a) and
+    /// B = b + X + tan A·(Y/2 + Z·cos²b) bound them if they hold with ≥.
+    fn widened_by_axis(&self, turns: DVec3) -> Option<(f64, f64)> {
+        let (a, b) = self.half;
+        let (cos_a, cos_b) = (libm::cos(a), libm::cos(b));
+        let next = |across: f64, high: f64| {
+            (
+                a + turns.y + libm::tan(high) * (0.5 * turns.x + turns.z * cos_a * cos_a),
+                b + turns.x + libm::tan(across) * (0.5 * turns.y + turns.z * cos_b * cos_b),
+            )
+        };
+        let fits = |half: f64| half < FRAC_PI_2 - 1e-3;
+        let (mut across, mut high) = (a, b);
+        for _ in 0..4 {
+            if !fits(across) || !fits(high) {
+                return None;
+            }
+            (across, high) = next(across, high);
+        }
+        // A little more than where this leads to.
+        (across, high) = (across + 0.02 * (across - a) + 1e-12, high + 0.02 * (high - b) + 1e-12);
+        if !fits(across) || !fits(high) {
+            return None;
+        }
+        let (least_across, least_high) = next(across, high);
+        (least_across <= across && least_high <= high).then_some((across, high))
+    }
+
+    /// The frustum with other half angles; a plane without is left out. `turn` is how far a corner moves at most.
+    fn with(&self, across: Option<f64>, high: Option<f64>, turn: f64) -> Frustum {
+        let (right, up) = self.right_up;
         let mut out = self.frustum;
         let plane = |axis: DVec3, half: Option<f64>| match half {
             Some(half) => out.forward * libm::sin(half) + axis * libm::cos(half),
@@ -258,14 +337,14 @@ impl Lens {
         };
         let planes = [plane(right, across), plane(-right, across), plane(up, high), plane(-up, high)];
         out.planes = planes;
-        out.corner_angle = (out.corner_angle + sign * turn).clamp(0.0, PI);
+        out.corner_angle = (out.corner_angle + turn).clamp(0.0, PI);
         out.solid_angle = match (across, high) {
-            (Some(a), Some(b)) if a > 0.0 && b > 0.0 => {
+            (Some(a), Some(b)) => {
                 let (a, b) = (libm::tan(a), libm::tan(b));
+                out.corner_angle = out.corner_angle.min(libm::atan(libm::hypot(a, b)));
                 4.0 * libm::atan2(a * b, (1.0 + a * a + b * b).sqrt())
             }
-            _ if sign > 0.0 => 4.0 * PI,
-            _ => f64::NAN,
+            _ => 4.0 * PI,
         };
         out
     }
@@ -307,9 +386,9 @@ mod tests {
             let turned = Frustum::new(&View { orientation: DQuat::from_axis_angle(axis.normalize(), turn * by), ..view });
             let inside = |f: &Frustum, slack: f64| f.planes.iter().all(|p| p.dot(u.normalize()) >= slack);
             if inside(&turned, 0.0) {
-                prop_assert!(inside(&lens.widened(turn), -1e-9));
+                prop_assert!(inside(&lens.widened(turn, DVec3::splat(turn)), -1e-9));
             }
-            if let Some(narrow) = lens.narrowed(turn)
+            if let Some(narrow) = lens.narrowed(turn, DVec3::splat(turn))
                 && inside(&narrow, 0.0)
             {
                 prop_assert!(inside(&turned, -1e-9));

@@ -19,6 +19,12 @@ use std::collections::BinaryHeap;
 const BOXES_MAX: usize = 1 << 18;
 /// Targets with their bounds kept at most, over all boxes: 20 bytes each.
 const KEPT_MAX: usize = 10_000_000;
+/// Views of the whole that are turned towards what its bound is widest for, before it is halved.
+const DIRECTED: usize = 1;
+/// What is left of what halving has shown at the next halving.
+const FORGOTTEN: f64 = 0.95;
+/// Most that this shifts the choice between position and turn.
+const PREFERENCE_MAX: f64 = 8.0;
 /// Share of a box's width of bounds that is bounded anew in its halves.
 const RENEWED: f64 = 0.93;
 
@@ -186,6 +192,8 @@ struct Search<'a> {
     /// Targets kept with the boxes of the heap.
     kept: usize,
     boxes: u32,
+    /// By how much halving boxes has lowered their bounds, and the lengths halved: along position, and along turns.
+    halved: [(f64, f64); 2],
 }
 
 impl<'a> Search<'a> {
@@ -203,6 +211,7 @@ impl<'a> Search<'a> {
             heap: BinaryHeap::new(),
             kept: 0,
             boxes: 0,
+            halved: [(0.0, 0.0); 2],
         }
     }
 
@@ -224,7 +233,10 @@ impl<'a> Search<'a> {
         // The present view is always looked at; more samples only while they leave most of the budget.
         let affordable = u64::from(self.settings.evaluations_max) / 8 / count.max(1);
         let samples = self.settings.samples.min(affordable.max(1) as usize);
-        for view in self.neighbourhood.covering(samples, self.radians_per_metre).views {
+        let present = *self.neighbourhood.view();
+        let covering = self.neighbourhood.covering(samples, self.radians_per_metre).views;
+        // The middle of everything is often the present view once more.
+        for (_, view) in covering.into_iter().enumerate().filter(|(i, view)| *i == 0 || *view != present) {
             self.evaluations += count;
             self.sampled += count;
             self.meet(view, self.targets.at(&view));
@@ -233,6 +245,9 @@ impl<'a> Search<'a> {
         let whole = self.neighbourhood.whole();
         self.targets.enclose(&self.neighbourhood.views(&whole), None, &mut found);
         self.evaluations += count;
+        for rank in 0..DIRECTED {
+            self.look(&whole, &found, Some(rank));
+        }
         self.push(whole, self.targets.deficit_bounds(&found).hi, &found);
         // Greatest bound of the boxes that are not looked into any more.
         let mut settled = 0.0f64;
@@ -245,11 +260,12 @@ impl<'a> Search<'a> {
                 settled = settled.max(open.bound);
                 break;
             }
-            let Some(axis) = self.neighbourhood.longest(&open.part, self.radians_per_metre) else {
+            let Some(axis) = self.neighbourhood.longest(&open.part, self.radians_per_metre * self.preference()) else {
                 settled = settled.max(open.bound);
                 continue;
             };
             self.widest(&open.seen, &mut again);
+            let mut greatest = 0.0f64;
             for part in open.part.split(axis) {
                 if self.neighbourhood.is_outside(&part) {
                     continue;
@@ -258,17 +274,19 @@ impl<'a> Search<'a> {
                 self.evaluations += again.len() as u64;
                 inherit(&open.seen, &again, &fresh, &mut found);
                 let bound = self.targets.deficit_bounds(&found).hi.min(open.bound);
+                greatest = greatest.max(bound);
                 if bound <= self.largest {
                     continue;
                 }
                 if 4 * self.sampled <= self.evaluations {
-                    let view = self.neighbourhood.sample(&part);
-                    self.evaluations += found.len() as u64;
-                    self.sampled += found.len() as u64;
-                    self.meet(view, self.targets.at_among(&view, &found));
+                    self.look(&part, &found, self.boxes.is_multiple_of(2).then_some(0));
                 }
                 self.push(part, bound, &found);
             }
+            let scale = if axis < 3 { self.radians_per_metre } else { 1.0 };
+            let (lowered, length) = &mut self.halved[usize::from(axis >= 3)];
+            *lowered = FORGOTTEN * *lowered + (open.bound - greatest).max(0.0);
+            *length = FORGOTTEN * *length + scale * open.part.half[axis];
         }
         // What is computed at one view is good to 10⁻⁹; where there is nothing, nothing is missing.
         let omega = if count > 0 { self.targets.solid_angle() } else { 0.0 };
@@ -277,6 +295,36 @@ impl<'a> Search<'a> {
         let evaluations = self.evaluations.try_into().unwrap_or(u32::MAX);
         let worth = Certified { value: -self.largest, lower: -highest - 1e-12 * omega, upper: -lowest, evaluations };
         Ok(Minimum { worth, weight: self.weight, worst: self.worst, boxes: self.boxes })
+    }
+
+    /// Looks at one view of a box: at its middle, or from as near as may be at what its bound is widest for but for `rank`
+    /// others.
+    fn look(&mut self, part: &ViewBox, found: &[(u32, Item)], rank: Option<usize>) {
+        let open = |item: &Item| item.weight.hi * item.share.hi - item.weight.lo * item.share.lo;
+        let middle = self.neighbourhood.sample(part);
+        let mut order: Vec<(f64, u32)> = Vec::new();
+        if rank.is_some() {
+            order.extend(found.iter().map(|(index, item)| (open(item), *index)));
+        }
+        let widest = rank
+            .filter(|&rank| rank < order.len())
+            .map(|rank| order.select_nth_unstable_by(rank, |a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1))).1.1);
+        let view = match widest {
+            Some(index) => {
+                let point = self.targets.nearest_point(index, middle.position);
+                self.neighbourhood.sample_towards(part, point)
+            }
+            None => middle,
+        };
+        self.evaluations += found.len() as u64;
+        self.sampled += found.len() as u64;
+        self.meet(view, self.targets.at_among(&view, found));
+    }
+
+    /// How much more halving a length of position has lowered bounds than halving a turn of as many radians.
+    fn preference(&self) -> f64 {
+        let [position, turn] = self.halved.map(|(lowered, length)| if length > 0.0 { lowered / length } else { 0.0 });
+        if position > 0.0 && turn > 0.0 { (position / turn).clamp(1.0 / PREFERENCE_MAX, PREFERENCE_MAX) } else { 1.0 }
     }
 
     fn push(&mut self, part: ViewBox, bound: f64, found: &[(u32, Item)]) {

@@ -14,6 +14,7 @@ pub mod minimum;
 pub mod neighbourhood;
 pub mod reach;
 pub mod target;
+mod turned;
 pub mod union;
 pub mod view_box;
 

@@ -10,7 +10,7 @@ use super::bounds::{Interval, Item, Lens, scale, scaled_sum, solid_angle};
 use super::faceted::{self, Faceted};
 use super::neighbourhood::Neighbourhood;
 use super::view_box::Views;
-use super::{WorstCaseError, check_cut};
+use super::{WorstCaseError, check_cut, turned};
 use crate::benefit::accuracy::{accuracy, sharpness};
 use crate::benefit::coverage::Coverage;
 use crate::benefit::cut::CutSettings;
@@ -175,6 +175,12 @@ impl Targets {
         self.targets.iter().map(|t| t.node)
     }
 
+    /// The point of a target's box that is nearest to `eye`.
+    pub(super) fn nearest_point(&self, index: u32, eye: DVec3) -> DVec3 {
+        let target = &self.targets[index as usize];
+        eye.clamp(target.centre - target.half, target.centre + target.half)
+    }
+
     fn deficit_of(&self, error: f32, distance: f64) -> f64 {
         1.0 - accuracy(f64::from(error), sharpness(self.pixels_per_radian, distance.max(self.near)))
     }
@@ -257,8 +263,8 @@ impl Targets {
     /// are looked at, or all.
     pub fn enclose(&self, views: &Views, among: Option<&[u32]>, found: &mut Vec<(u32, Item)>) {
         let lens = Lens::new(&View { position: views.eye, orientation: views.orientation, ..self.view });
-        let wide = lens.widened(views.turn);
-        let narrow = lens.narrowed(views.turn);
+        let wide = lens.widened(views.turn, views.turns);
+        let narrow = lens.narrowed(views.turn, views.turns);
         found.clear();
         let all = 0..self.targets.len() as u32;
         let mut look = |index: u32| {
@@ -330,16 +336,20 @@ impl Targets {
             above += part.areas * d_hi;
             below += part.areas * d_lo;
         }
-        // Shares of the parts depend on the direction only: never beyond their extremes by axis. Where areas are sums in
-        // single precision, the parts may sum to a little more or less than the whole.
-        let (mut by_axis_hi, mut by_axis_lo) = (0.0f64, 1.0f64);
-        for axis in 0..3 {
-            if target.areas[axis] > 0.0 {
-                by_axis_hi = by_axis_hi.max(above[axis] / target.areas[axis]);
-                by_axis_lo = by_axis_lo.min(below[axis] / target.areas[axis]);
+        // The share is a quotient of sums that are linear in the directions' components: extreme where each of these is
+        // least or greatest. Where areas are sums in single precision, the parts may sum to a little more or less than
+        // the whole.
+        let (mut hi_share, mut lo_share) = (0.0f64, 1.0f64);
+        for corner in 0..8u32 {
+            let pick = |axis: usize| if corner & 1 << axis != 0 { off[axis] + views.half[axis] } else { boxed[axis] };
+            let along = DVec3::new(pick(0), pick(1), pick(2));
+            let whole = target.areas.dot(along);
+            if whole > 0.0 {
+                hi_share = hi_share.max(above.dot(along) / whole);
+                lo_share = lo_share.min(below.dot(along) / whole);
             }
         }
-        let (hi_share, lo_share) = (by_axis_hi.min(most * (1.0 + 1e-5)), by_axis_lo.max(least * (1.0 - 1e-5)));
+        let (hi_share, lo_share) = (hi_share.min(most * (1.0 + 1e-5)), lo_share.max(least * (1.0 - 1e-5)));
         Item {
             weight: sane(share.lo * lo, share.hi * hi, f64::INFINITY),
             share: sane(lo_share * (1.0 - 1e-9), hi_share * (1.0 + 1e-9), 1.0 + 1e-4),
@@ -369,7 +379,10 @@ impl Targets {
         let clips = wide.corner_angle < CLIP_CORNER_MAX;
         let cos = libm::cos(wide.corner_angle);
         let slack = 1e-14 / (cos * cos * cos);
-        if side != Seen::Always {
+        if (centre.abs() + views.half).cmple(half).all() {
+            // From within, a leaf fills every view.
+            omega = Interval { lo: frustum.solid_angle, hi: frustum.solid_angle };
+        } else if side != Seen::Always {
             let whole = omega;
             omega.lo = 0.0;
             if clips {
@@ -381,7 +394,8 @@ impl Targets {
                     let unclipped = solid_angle(centre, half, DVec3::ZERO, 0.0);
                     if unclipped.lo > 0.0 && views.radius > 0.0 {
                         let factor = front_factor(centre, half, views);
-                        let turned = lens.widened(views.turn + libm::asin((views.radius / here).min(1.0)));
+                        let off = libm::asin((views.radius / here).min(1.0));
+                        let turned = lens.widened(views.turn + off, views.turns + off);
                         if turned.corner_angle < CLIP_CORNER_MAX && factor.is_finite() {
                             let cos = libm::cos(turned.corner_angle);
                             let part = of_box_in_frustum(centre, half, &turned, 0b1111) + 1e-14 / (cos * cos * cos);
@@ -389,13 +403,28 @@ impl Targets {
                         }
                     }
                 }
-                if let Some(narrow) = narrow {
-                    let shrunk = half - views.half;
-                    if shrunk.min_element() >= 0.0 {
-                        let seen = of_box_in_frustum(centre, shrunk, narrow, 0b1111) - slack;
-                        omega.lo = seen.clamp(0.0, whole.hi);
-                    }
+                // What is wider than the views turn is better turned against the views than the views against it.
+                let is_wide = half.length() > views.turn * here;
+                if is_wide && let Some(most) = turned::solid_angle(lens, centre, half + views.half, views, 1.0) {
+                    omega.hi = omega.hi.min(most + slack);
                 }
+                let seen_least = |centre: DVec3, half: DVec3| {
+                    let within = narrow.map_or(0.0, |narrow| of_box_in_frustum(centre, half, narrow, 0b1111));
+                    let turned = if is_wide { turned::solid_angle(lens, centre, half, views, -1.0) } else { None };
+                    (within.max(turned.unwrap_or(0.0)) - slack).max(0.0)
+                };
+                // What every eye sees of the box, as the middle sees it: the box less the eyes' spread, or, of what is
+                // thin, so much of its faces.
+                let shrunk = half - views.half;
+                let least = if shrunk.min_element() >= 0.0 {
+                    seen_least(centre, shrunk)
+                } else {
+                    (0..3)
+                        .filter_map(|axis| turned::core_of_face(centre, half, views.half, axis))
+                        .map(|(centre, half)| seen_least(centre, half))
+                        .sum()
+                };
+                omega.lo = least.min(whole.hi).min(omega.hi);
             }
         }
         if self.has_directions {

@@ -11,7 +11,7 @@
 //! about 6ρ/D, so an opening angle θ leaves 6θ of a group's weight open. The groups with the widest bounds are opened
 //! until the gap asked for is reached, down to single leaves, whose width is rounding.
 
-use super::bounds::{Interval, Item, group_solid_angle, scale, scaled_sum, solid_angle};
+use super::bounds::{Interval, Item, group_solid_angle, scale, scaled_sum, solid_angle_from_eye};
 use super::neighbourhood::Neighbourhood;
 use super::{COORDINATE_MAX, WorstCaseError, within};
 use crate::benefit::accuracy::{accuracy, sharpness};
@@ -224,7 +224,7 @@ impl<'a> Scene<'a> {
         let seen = Seen { distance: Interval { lo: nearest, hi: farthest }, centre };
         let is_inside = side == Side::Inside;
         let mut weight = if is_leaf {
-            let omega = solid_angle(centre, half, DVec3::ZERO, 0.0);
+            let omega = solid_angle_from_eye(centre, half);
             let importance = tree.importance(node);
             Interval { lo: importance * omega.lo, hi: importance * omega.hi }
         } else {

@@ -48,4 +48,7 @@ pub struct Views {
     pub orientation: DQuat,
     /// Radians, at most π.
     pub turn: f64,
+    /// Turning from `orientation` to any of them in unit time, the angular velocity about each of the camera's axes is
+    /// always at most this, radians.
+    pub turns: DVec3,
 }

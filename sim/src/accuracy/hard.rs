@@ -76,19 +76,18 @@ const GENERATORS: [Generator; 24] = [
     }),
 ];
 
-/// `count` candidates in all, in scenes of candidates that resemble each other.
+/// `count` candidates in all, in scenes of candidates that resemble each other; one scene is held at a time.
 ///
 /// # Errors
 /// A generator makes something illegal.
-pub fn scenes(count: usize, seed: u64) -> Result<Vec<Scene>, IntegralError> {
+pub fn scenes(count: usize, seed: u64) -> impl Iterator<Item = Result<Scene, IntegralError>> {
     let each = count.div_ceil(GENERATORS.len());
-    let made = GENERATORS.iter().enumerate().map(|(i, generator)| {
+    GENERATORS.iter().enumerate().map(move |(i, generator)| {
         let mut random = SplitMix64::new(seed.wrapping_add((i as u64 + 1) << 40));
         let made = (0..each).map(|_| (generator.make)(&mut random).map(|benefit| vec![benefit]));
         let candidates = made.collect::<Result<_, _>>()?;
         Ok(Scene { case: generator.name.to_owned(), kind: generator.kind, candidates })
-    });
-    made.collect()
+    })
 }
 
 /// A camera and what is asked of it; changed step by step.

@@ -10,6 +10,7 @@ pub mod grouping;
 pub mod hard;
 pub mod integral;
 pub mod outcome;
+pub mod proof;
 mod record;
 pub mod reference;
 pub mod scale;

@@ -21,6 +21,9 @@ pub struct Accuracy {
     pub integral: Vec<ErrorRow>,
     /// Event splitting against the fixed grid.
     pub splitting: Option<Splitting>,
+    /// Enclosures set against the reference, if only these were checked.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub proof: Option<ProofCounts>,
     /// The worst case, `union` and `minimum`.
     pub worst_case: Vec<ErrorRow>,
     /// Choosing the best candidate.
@@ -31,6 +34,30 @@ pub struct Accuracy {
     pub upper_bound: Vec<UpperBoundRow>,
     /// Rows where an uncertified method lies, a proven bound is violated, or a bound is loose; a sentence each.
     pub findings: Vec<Finding>,
+}
+
+/// What was found of enclosures.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct ProofCounts {
+    /// Candidates.
+    pub candidates: u64,
+    /// Their legs, each enclosed by itself.
+    pub legs: u64,
+    /// Legs where the reference, give or take its error, lies within the bounds; where it only meets them, it is not
+    /// good enough to tell.
+    pub legs_within: u64,
+    /// Candidates with a leg whose bounds the reference contradicts.
+    pub violated: u64,
+}
+
+impl ProofCounts {
+    /// Adds others.
+    pub fn add(&mut self, other: &ProofCounts) {
+        self.candidates += other.candidates;
+        self.legs += other.legs;
+        self.legs_within += other.legs_within;
+        self.violated += other.violated;
+    }
 }
 
 /// Where a row's inputs come from.

@@ -2,6 +2,7 @@ use super::choice::Choices;
 use super::findings::findings;
 use super::integral::Integrals;
 use super::outcome::{Accuracy, Kind, SCHEMA_VERSION, Verdict};
+use super::proof::Proofs;
 use super::situation::{Source, capture};
 use super::worst_case::WorstCases;
 use super::{Draws, grouping, hard, scale, scene};
@@ -43,8 +44,8 @@ fn measured(world: &World) -> Accuracy {
         worst.measure("city", source.tree, situation, &settings, 100, &mut random).expect("a legal situation");
         choices.measure("city", source.tree, situation, &settings, 2);
     }
-    for scene in hard::scenes(240, 7).expect("legal scenes") {
-        integrals.measure(&scene).expect("legal candidates");
+    for scene in hard::scenes(240, 7) {
+        integrals.measure(&scene.expect("a legal scene")).expect("legal candidates");
     }
     let grouped = grouping::measure(source.tree, &situations, &settings, 10, 7);
     let mut outcome = Accuracy {
@@ -115,6 +116,22 @@ fn a_small_run_repeats_proves_what_it_says_and_names_what_lies() {
         value
     };
     assert_eq!(document(&outcome), document(&measured(&world)));
+}
+
+#[test]
+fn enclosures_alone_hold_and_repeat() {
+    let checked = || {
+        let mut proofs = Proofs::default();
+        for scene in hard::scenes(96, 3) {
+            proofs.measure(&scene.expect("a legal scene"), &|_| ()).expect("legal candidates");
+        }
+        let rows = proofs.rows();
+        (proofs.counts, rows.iter().map(|r| (r.case.clone(), r.max_gap, r.bound_violations)).collect::<Vec<_>>())
+    };
+    let (counts, rows) = checked();
+    assert_eq!((counts.candidates, counts.legs, counts.violated), (96, 96, 0));
+    assert!(counts.legs_within >= 24, "{counts:?}");
+    assert_eq!((counts, rows), checked());
 }
 
 #[test]

@@ -12,6 +12,8 @@ use foresight_sim::accuracy::Part;
 use foresight_sim::accuracy::choice::Choices;
 use foresight_sim::accuracy::integral::Integrals;
 use foresight_sim::accuracy::outcome::{Accuracy, SCHEMA_VERSION};
+use foresight_sim::accuracy::proof::Proofs;
+use foresight_sim::accuracy::scene::Scene;
 use foresight_sim::accuracy::situation::{self, Source};
 use foresight_sim::accuracy::worst_case::WorstCases;
 use foresight_sim::accuracy::{Draws, findings, grouping, hard, scale, scene, upper_bound};
@@ -23,7 +25,7 @@ use std::path::PathBuf;
 
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Examples:\n  foresight-sim accuracy --report accuracy\n  foresight-sim accuracy --only integral --candidates 1000000 --json\n  \
+    after_help = "Examples:\n  foresight-sim accuracy --report accuracy\n  foresight-sim accuracy --proof --candidates 1000000 --json\n  \
                   foresight-sim accuracy --world city:blocks=40 --path turn --only choice,scale --largest 1e7\n\n\
                   Without --world, --path and --link: the built-in world and generated ones, and with --data the first replay of each case of \
                   the suite that needs recorded data. Everything but nanoseconds follows from the seed."
@@ -44,8 +46,11 @@ pub(crate) struct AccuracyArgs {
     /// Parts to measure, separated by commas, of integral, worst-case, choice, scale and upper-bound; all if not given
     #[arg(long, value_name = "PARTS", value_delimiter = ',', value_parser = part)]
     only: Vec<Part>,
+    /// Only check that the enclosures of the integral hold, at one tolerance (1e-3), against the reference; on all threads
+    #[arg(long, conflicts_with = "only")]
+    proof: bool,
     /// Candidates of the integral, half of them from replays; a choice in each situation for every 400; from 100000 on the
-    /// offline search for the worst case is run in full. 1000000 is the full proof
+    /// offline search for the worst case is run in full. With --proof 1000000 take about half an hour on two cores
     #[arg(long, default_value_t = 4000, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100_000_000))]
     candidates: u64,
     /// Situations kept of each replay
@@ -119,6 +124,12 @@ struct Progress {
     is_terminal: bool,
 }
 
+impl AccuracyArgs {
+    fn asks(&self, part: Part) -> bool {
+        if self.proof { part == Part::Integral } else { self.only.is_empty() || self.only.contains(&part) }
+    }
+}
+
 impl Progress {
     fn show(&self, text: &str) {
         if self.is_terminal {
@@ -133,7 +144,7 @@ pub(crate) fn run(args: &AccuracyArgs) -> anyhow::Result<()> {
     }
     replay::use_threads(args.threads)?;
     let progress = Progress { is_terminal: std::io::stderr().is_terminal() };
-    let is_asked = |part: Part| args.only.is_empty() || args.only.contains(&part);
+    let is_asked = |part: Part| args.asks(part);
     let mut outcome = Accuracy {
         schema_version: SCHEMA_VERSION,
         seed: args.seed,
@@ -207,10 +218,11 @@ fn measure_cases(
     outcome: &mut Accuracy,
 ) -> anyhow::Result<()> {
     let settings = ForesightSettings::default();
-    let is_asked = |part: Part| args.only.is_empty() || args.only.contains(&part);
+    let is_asked = |part: Part| args.asks(part);
     let real = (args.candidates as usize).div_ceil(2);
     let mut random = Draws::new(args.seed);
     let mut integrals = Integrals::default();
+    let mut proofs = Proofs::default();
     let mut grouped = Vec::new();
     let mut worst = WorstCases::default();
     let mut choices = Choices::new(&settings);
@@ -229,6 +241,16 @@ fn measure_cases(
         let situations = situation::capture(&source, &settings, args.situations as usize)
             .with_context(|| format!("case {}", case.name))?;
         progress.show(&format!("{}: measuring", case.name));
+        if args.proof {
+            // Shares are rounded up, so that there are no fewer than asked for.
+            let each = real.div_ceil(cases.len() * situations.len().max(1));
+            for (i, situation) in situations.iter().enumerate() {
+                let scene = scene::real(&case.name, source.tree, situation, &settings, each, &mut random);
+                let of = format!("{}, situation {} of {}", case.name, i + 1, situations.len());
+                prove(&mut proofs, &scene, &of, progress)?;
+            }
+            continue;
+        }
         let each = (real / (cases.len() * situations.len().max(1)).max(1)).max(1);
         if is_asked(Part::Integral) {
             for (i, situation) in situations.iter().enumerate() {
@@ -259,16 +281,38 @@ fn measure_cases(
             }
         }
     }
+    if args.proof {
+        for scene in hard::scenes(args.candidates.div_ceil(2) as usize, args.seed) {
+            let scene = scene?;
+            prove(&mut proofs, &scene, &scene.case, progress)?;
+        }
+        outcome.integral = proofs.rows();
+        outcome.proof = Some(proofs.counts);
+        return Ok(());
+    }
     outcome.worst_case = worst.rows();
     outcome.choice = choices.rows();
     if is_asked(Part::Integral) {
-        for scene in hard::scenes(args.candidates as usize - real, args.seed)? {
+        for scene in hard::scenes(args.candidates as usize - real, args.seed) {
+            let scene = scene?;
             progress.show(&format!("{}: integrals", scene.case));
             integrals.measure(&scene).with_context(|| format!("scene {}", scene.case))?;
         }
         let over_all = grouping::over_all(&grouped);
         outcome.integral = [integrals.rows(), std::mem::take(&mut outcome.integral), over_all].concat();
         outcome.splitting = integrals.splitting();
+    }
+    Ok(())
+}
+
+/// Checks the enclosures of a scene. Off a terminal, a line a scene says how far it is.
+fn prove(proofs: &mut Proofs, scene: &Scene, of: &str, progress: &Progress) -> anyhow::Result<()> {
+    let count = scene.candidates.len();
+    proofs
+        .measure(scene, &|done| progress.show(&format!("{of}: {done} of {count} enclosed")))
+        .with_context(|| of.to_owned())?;
+    if !progress.is_terminal {
+        eprintln!("{of}: {} candidates so far, {} violated", proofs.counts.candidates, proofs.counts.violated);
     }
     Ok(())
 }

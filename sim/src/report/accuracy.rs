@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use super::frame::{document, table};
 use super::number::{NEVER, printable, significant};
 use super::scatter::{Point, Series, Titles, scatter};
-use crate::accuracy::outcome::{Accuracy, ChoiceRow, ErrorRow, GAIN_FLOOR, ScaleRow, Splitting, Verdict};
+use crate::accuracy::outcome::{Accuracy, ChoiceRow, ErrorRow, GAIN_FLOOR, ProofCounts, ScaleRow, Splitting, Verdict};
 
 /// Errors below this, zero included, are drawn on it: rounding.
 const ERROR_FLOOR: f64 = 1e-17;
@@ -25,6 +25,9 @@ pub fn accuracy_text(outcome: &Accuracy) -> String {
     }
     if let Some(splitting) = &outcome.splitting {
         text.push_str(&format!("{}\n\n", split_sentence(splitting)));
+    }
+    if let Some(proof) = &outcome.proof {
+        text.push_str(&format!("{}\n\n", proof_sentence(proof)));
     }
     text.push_str(&findings_text(outcome));
     text
@@ -55,6 +58,15 @@ const VERDICTS: [(Verdict, &str); 3] = [
     (Verdict::Lies, "Uncertified methods that err by more than they say"),
     (Verdict::Loose, "Proven bounds that are loose"),
 ];
+
+fn proof_sentence(proof: &ProofCounts) -> String {
+    let ProofCounts { candidates, legs, legs_within, violated } = proof;
+    format!(
+        "Enclosures of {candidates} candidates, {legs} legs: {violated} candidates violated. In {legs_within} legs the reference, give or \
+         take its error, lies within the bounds; in the other {} it meets or leaves them.",
+        legs - legs_within
+    )
+}
 
 fn split_sentence(splitting: &Splitting) -> String {
     let least = if splitting.reached { "" } else { "at least " };

@@ -328,7 +328,35 @@ impl Neighbourhood {
 
     /// A reachable view near the middle of the box: the middle itself, or the nearest within a ball or a disc.
     pub fn sample(&self, part: &ViewBox) -> View {
+        self.reachable(part.mid)
+    }
+
+    /// A reachable view of the box, or near it, that is near `point` and turned towards it: of each coordinate the end or
+    /// the middle that serves best, one after the other.
+    pub fn sample_towards(&self, part: &ViewBox, point: DVec3) -> View {
         let mut at = part.mid;
+        // Less is better: the distance of an eye, minus the cosine of a turn.
+        let rate = |at: &[f64; DIMENSIONS], axis: usize| {
+            let (eye, orientation) = self.at(at);
+            let off = point - eye;
+            if axis < 3 { off.length() } else { -(orientation * DVec3::NEG_Z).dot(off.normalize_or_zero()) }
+        };
+        for axis in (0..DIMENSIONS).filter(|&axis| part.half[axis] > 0.0) {
+            let mut best = rate(&at, axis);
+            for end in [part.mid[axis] - part.half[axis], part.mid[axis] + part.half[axis]] {
+                let mut tried = at;
+                tried[axis] = end;
+                let rated = rate(&tried, axis);
+                if rated < best {
+                    (at, best) = (tried, rated);
+                }
+            }
+        }
+        self.reachable(at)
+    }
+
+    /// The view at coordinates, moved into the ball or the disc that holds what is reachable.
+    fn reachable(&self, mut at: [f64; DIMENSIONS]) -> View {
         let mut shrink = |axes: &[usize], limit: f64| {
             let norm = axes.iter().map(|&i| at[i] * at[i]).sum::<f64>().sqrt();
             if norm > limit {
@@ -372,7 +400,8 @@ impl Neighbourhood {
     pub fn views(&self, part: &ViewBox) -> Views {
         let (eye, orientation) = self.at(&part.mid);
         let h = &part.half;
-        let mut views = Views { eye, half: DVec3::new(h[0], h[1], h[2]), radius: 0.0, orientation, turn: 0.0 };
+        let mut views =
+            Views { eye, half: DVec3::new(h[0], h[1], h[2]), radius: 0.0, orientation, turn: 0.0, turns: DVec3::ZERO };
         views.radius = views.half.length();
         views.turn = libm::hypot(h[3], h[4]);
         match &self.shape {
@@ -409,11 +438,32 @@ impl Neighbourhood {
             }
         }
         views.turn = (views.turn + 1e-14).min(PI);
+        views.turns = self.turns_of(part, &views) + 1e-14;
         // Eyes are rounded to doubles.
         let blur = 4.0 * f64::EPSILON * (views.eye.abs() + views.half);
         views.half += blur;
         views.radius += 2.0 * blur.max_element();
         views
+    }
+
+    /// [`Views::turns`]. The angular velocity of exp(m + s·d) about the camera's axes is d, less up to θ²/6 of |d| across m,
+    /// and up to θ/2 of |d| about the line of sight, θ = |m + s·d| (Rodrigues); of U(a)·q·exp(b·X) it is ȧ about `up`, as
+    /// the camera has it, and ḃ about X.
+    fn turns_of(&self, part: &ViewBox, views: &Views) -> DVec3 {
+        let (first, second) = (part.half[3], part.half[4]);
+        match &self.shape {
+            Shape::Free | Shape::PathBound { .. } => {
+                let turn = libm::hypot(first, second);
+                let theta = libm::hypot(part.mid[3].abs() + first, part.mid[4].abs() + second);
+                let across = theta * theta / 6.0 * turn;
+                DVec3::new(first + across, second + across, 0.5 * theta * turn).min(DVec3::splat(PI))
+            }
+            Shape::Walking { up, .. } => {
+                let up = views.orientation.conjugate() * *up;
+                first * (up.abs() + views.turn).min(DVec3::ONE) + DVec3::X * second
+            }
+            Shape::Orbiting { .. } => DVec3::splat(views.turn),
+        }
     }
 
     /// Whether `view` is reachable, to 10⁻⁶ of a radian and of the distances involved.

@@ -44,6 +44,24 @@ pub struct Reference {
 /// # Errors
 /// What the scheduler's methods refuse.
 pub fn reference(benefit: &AddedBenefit) -> Result<Reference, IntegralError> {
+    until(benefit, |_, _| false)
+}
+
+/// As [`reference`], but only until value ± error lies within `bounds`: then that they hold is known. Where it never
+/// does, as well as can be.
+///
+/// # Errors
+/// What the scheduler's methods refuse.
+pub fn reference_within(benefit: &AddedBenefit, bounds: [f64; 2]) -> Result<Reference, IntegralError> {
+    let margin = |value: f64, error: f64| 2e-16 * value.abs() + 1e-300 + error;
+    until(benefit, |value, error| {
+        let margin = margin(value, error + UNSEEN * value.abs());
+        bounds[0] <= value - margin && value + margin <= bounds[1]
+    })
+}
+
+/// As well as can be, or until `is_enough` says so of a value and its error.
+fn until(benefit: &AddedBenefit, is_enough: impl Fn(f64, f64) -> bool) -> Result<Reference, IntegralError> {
     let has_closed_form = match integrate(benefit, &Method::ClosedForm) {
         Ok(_) => true,
         Err(IntegralError::NoClosedForm(_)) => false,
@@ -65,7 +83,7 @@ pub fn reference(benefit: &AddedBenefit) -> Result<Reference, IntegralError> {
             return Ok(with(value, error, true));
         }
     }
-    let (value, error) = quadrature(benefit, &scene, from, to);
+    let (value, error) = quadrature(benefit, &scene, from, to, is_enough);
     Ok(with(value, error, false))
 }
 
@@ -97,7 +115,13 @@ impl Ord for Part {
     }
 }
 
-fn quadrature(benefit: &AddedBenefit, scene: &Scene, from: TwoFloat, to: TwoFloat) -> (TwoFloat, f64) {
+fn quadrature(
+    benefit: &AddedBenefit,
+    scene: &Scene,
+    from: TwoFloat,
+    to: TwoFloat,
+    is_enough: impl Fn(f64, f64) -> bool,
+) -> (TwoFloat, f64) {
     // (integral, error from what the interpolant misses at the ends).
     let apply = |from: TwoFloat, to: TwoFloat| {
         let (middle, half) = ((from + to) * 0.5, (to - from) * 0.5);
@@ -147,7 +171,7 @@ fn quadrature(benefit: &AddedBenefit, scene: &Scene, from: TwoFloat, to: TwoFloa
         })
     };
     let (mut value, mut error) = sum(&parts);
-    while error > TOLERANCE * value.hi().abs() && used < EVALUATIONS_MAX {
+    while error > TOLERANCE * value.hi().abs() && used < EVALUATIONS_MAX && !is_enough(value.hi(), error) {
         let Some(worst) = parts.pop() else { break };
         let middle = (worst.from + worst.to) * 0.5;
         let (left, _) = halved(worst.from, middle, worst.halves[0]);
