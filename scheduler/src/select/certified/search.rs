@@ -633,6 +633,14 @@ impl Search {
         self.rank(ask, standing, rep)
     }
 
+    /// The rough bound on the ratios of a node's own candidates and everything beneath it, of a world without directions.
+    pub fn rough_bound_of(&mut self, ask: &Ask, standing: &Standing, node: NodeId) -> f64 {
+        ask.objective.weights(ask.link.first_byte_s, &mut self.weights);
+        ask.objective.place_weights(&self.weights, ALL, &mut self.place_weights);
+        let above = ask.tree.parent(node).map_or(f32::INFINITY, |parent| standing.plan().best_above(ask.tree, parent));
+        self.glance(ask, standing, node, above, ALL, true).map_or(0.0, |below| below.ratio)
+    }
+
     /// Upper bounds on the ratios of a node's own candidates and of everything strictly beneath it, as a search without
     /// anything known would compute them. Ends the search.
     pub fn bounds_of(&mut self, ask: &Ask, standing: &Standing, node: NodeId) -> (Vec<(RepId, f64)>, f64) {
