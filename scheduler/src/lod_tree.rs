@@ -78,27 +78,40 @@ pub struct Representation {
 const NO_REP: u32 = u32::MAX;
 const NO_DIRECTION: u8 = u8::MAX;
 
-/// A world as the scheduler sees it. At most 2³²−2 nodes and as many representations; 86 to 95 bytes for a node with
+/// What is read together of a node: decisions look at few nodes, far apart in memory.
+#[derive(Clone, Copy, Debug)]
+struct Node {
+    centre: DVec3,
+    half: Vec3,
+    area: [f32; 3],
+    /// Bounds for the representations strictly beneath, as the upper halves of f32s rounded the safe way: area per wire byte
+    /// by axis, least error, least wire bytes.
+    beneath: [u16; 5],
+    parent: u32,
+    subtree_end: u32,
+    first_rep: u32,
+}
+
+/// What is read together of a representation.
+#[derive(Clone, Copy, Debug)]
+struct Rep {
+    node: u32,
+    wire: u32,
+    decoded: u32,
+    error: f32,
+}
+
+/// A world as the scheduler sees it. At most 2³²−2 nodes and as many representations; 88 to 97 bytes for a node with
 /// one representation. With directions 56 bytes a node more, and 32 a representation where a node has nine.
 #[derive(Clone, Debug, Default)]
 pub struct LodTree {
-    parent: Vec<u32>,
-    subtree_end: Vec<u32>,
-    centre: Vec<DVec3>,
-    half: Vec<Vec3>,
-    area: Vec<[f32; 3]>,
-    first_rep: Vec<u32>,
+    /// In preorder, and one more whose `first_rep` ends the last.
+    nodes: Vec<Node>,
     importance: Vec<f32>,
-    rep_node: Vec<u32>,
-    rep_wire: Vec<u32>,
-    rep_decoded: Vec<u32>,
-    rep_error: Vec<f32>,
+    reps: Vec<Rep>,
     rep_prerequisite: Vec<u32>,
     rep_direction: Vec<u8>,
     errors_fall: bool,
-    /// Per node, bounds for the representations strictly beneath, as the upper halves of f32s rounded the safe way: area
-    /// per wire byte by axis, least error, least wire bytes.
-    beneath: Vec<[u16; 5]>,
     /// Per node, m² by element, summed over the leaves beneath; empty unless the tree has directions and some leaf told
     /// its surface.
     surface: Vec<[f32; ELEMENTS]>,
@@ -266,7 +279,7 @@ pub struct LodTreeBuilder {
 impl LodTreeBuilder {
     /// Opens a node as the next child of the node that is open now, or as the root.
     pub fn open(&mut self) -> Result<NodeId, LodTreeError> {
-        let id = self.tree.parent.len();
+        let id = self.tree.nodes.len();
         if id >= (u32::MAX - 1) as usize {
             return Err(LodTreeError::TooMany("nodes"));
         }
@@ -278,14 +291,16 @@ impl LodTreeBuilder {
         if self.open.len() >= DEPTH_MAX {
             return Err(LodTreeError::TooDeep);
         }
-        self.tree.parent.push(parent);
-        self.tree.subtree_end.push(0);
-        self.tree.centre.push(DVec3::ZERO);
-        self.tree.half.push(Vec3::ZERO);
-        self.tree.area.push([0.0; 3]);
+        self.tree.nodes.push(Node {
+            centre: DVec3::ZERO,
+            half: Vec3::ZERO,
+            area: [0.0; 3],
+            beneath: [0; 5],
+            parent,
+            subtree_end: 0,
+            first_rep: self.tree.reps.len() as u32,
+        });
         self.tree.importance.push(1.0);
-        self.tree.beneath.push([0; 5]);
-        self.tree.first_rep.push(self.tree.rep_node.len() as u32);
         self.open.push(id as u32);
         self.boxes.push(Aabb::EMPTY);
         self.areas.push([0.0; 3]);
@@ -295,13 +310,13 @@ impl LodTreeBuilder {
 
     /// Adds a representation to the node opened last. Must come before the node's children are opened.
     pub fn add(&mut self, rep: Representation) -> Result<RepId, LodTreeError> {
-        let id = self.tree.rep_node.len();
+        let id = self.tree.reps.len();
         if id >= (u32::MAX - 1) as usize {
             return Err(LodTreeError::TooMany("representations"));
         }
         let id = id as u32;
         let node = *self.open.last().ok_or(LodTreeError::Nesting("a representation outside every node"))?;
-        if node as usize + 1 != self.tree.parent.len() {
+        if node as usize + 1 != self.tree.nodes.len() {
             return Err(LodTreeError::Nesting("a representation was added after its node's children"));
         }
         if !(rep.error.is_finite() && rep.error >= 0.0) {
@@ -322,10 +337,8 @@ impl LodTreeBuilder {
             }
             self.any_direction = true;
         }
-        self.tree.rep_node.push(node);
-        self.tree.rep_wire.push(rep.wire_bytes);
-        self.tree.rep_decoded.push(rep.decoded_bytes);
-        self.tree.rep_error.push(rep.error);
+        let Representation { wire_bytes: wire, decoded_bytes: decoded, error, .. } = rep;
+        self.tree.reps.push(Rep { node, wire, decoded, error });
         self.tree.rep_prerequisite.push(rep.prerequisite.map_or(NO_REP, |r| r.0));
         self.tree.rep_direction.push(rep.direction.unwrap_or(NO_DIRECTION));
         Ok(RepId(id))
@@ -339,7 +352,7 @@ impl LodTreeBuilder {
         let mut areas = self.areas.pop().unwrap_or([0.0; 3]);
         let beneath = self.beneath.pop().unwrap_or(Beneath::NONE);
         let index = node as usize;
-        let end = self.tree.parent.len() as u32;
+        let end = self.tree.nodes.len() as u32;
         let is_leaf = end == node + 1;
         if is_leaf && content.is_none() {
             return Err(LodTreeError::LeafWithoutBounds(node));
@@ -368,21 +381,19 @@ impl LodTreeBuilder {
             self.any_importance |= importance != 1.0;
             self.surfaces.extend(self.shares.take().filter(|(of, _)| *of == node));
         }
-        self.tree.subtree_end[index] = end;
-        self.tree.centre[index] = centre;
-        self.tree.half[index] = half;
-        self.tree.area[index] = areas.map(|a| a as f32);
-        if !self.tree.area[index].iter().all(|a| a.is_finite()) {
+        let area = areas.map(|a| a as f32);
+        let closed = &mut self.tree.nodes[index];
+        (closed.subtree_end, closed.centre, closed.half, closed.area) = (end, centre, half, area);
+        closed.beneath = beneath.pack();
+        if !area.iter().all(|a| a.is_finite()) {
             return Err(LodTreeError::Bounds { node, min: bounds.min, max: bounds.max });
         }
-        self.tree.beneath[index] = beneath.pack();
         if let Some(above) = self.beneath.last_mut() {
-            let first = self.tree.first_rep[index] as usize;
+            let first = self.tree.nodes[index].first_rep as usize;
             // Of a leaf, the own representations are the last that were added.
-            let end = self.tree.first_rep.get(index + 1).map_or(self.tree.rep_node.len(), |&end| end as usize);
-            for rep in first..end {
-                let of = Beneath::of(self.tree.area[index], self.tree.rep_wire[rep], self.tree.rep_error[rep]);
-                *above = above.union(of);
+            let end = self.tree.nodes.get(index + 1).map_or(self.tree.reps.len(), |next| next.first_rep as usize);
+            for rep in &self.tree.reps[first..end] {
+                *above = above.union(Beneath::of(area, rep.wire, rep.error));
             }
             *above = above.union(beneath);
         }
@@ -400,10 +411,11 @@ impl LodTreeBuilder {
         if !self.open.is_empty() {
             return Err(LodTreeError::Nesting("a node was left open"));
         }
-        if self.tree.parent.is_empty() {
+        if self.tree.nodes.is_empty() {
             return Err(LodTreeError::Empty);
         }
-        self.tree.first_rep.push(self.tree.rep_node.len() as u32);
+        let first_rep = self.tree.reps.len() as u32;
+        self.tree.nodes.extend(self.tree.nodes.last().map(|last| Node { first_rep, ..*last }));
         // With directions, what is above may show a side that what is beneath does not.
         self.tree.errors_fall = !self.any_direction && self.tree.find_errors_fall();
         if !self.any_importance {
@@ -443,12 +455,12 @@ fn narrow_down(value: f64) -> f32 {
 impl LodTree {
     /// Number of nodes.
     pub fn nodes(&self) -> usize {
-        self.parent.len()
+        self.nodes.len().saturating_sub(1)
     }
 
     /// Number of representations.
     pub fn representations(&self) -> usize {
-        self.rep_node.len()
+        self.reps.len()
     }
 
     /// The root.
@@ -458,13 +470,13 @@ impl LodTree {
 
     /// The node above, `None` for the root.
     pub fn parent(&self, node: NodeId) -> Option<NodeId> {
-        let parent = self.parent[node.index()];
+        let parent = self.nodes[node.index()].parent;
         (parent != u32::MAX).then_some(NodeId(parent))
     }
 
     /// One past the last node of the subtree: the subtree is `node.0..subtree_end(node).0`.
     pub fn subtree_end(&self, node: NodeId) -> NodeId {
-        NodeId(self.subtree_end[node.index()])
+        NodeId(self.nodes[node.index()].subtree_end)
     }
 
     /// True if `node` is `ancestor` or lies beneath it.
@@ -474,7 +486,7 @@ impl LodTree {
 
     /// True for a node without children: the things that are seen.
     pub fn is_leaf(&self, node: NodeId) -> bool {
-        self.subtree_end[node.index()] == node.0 + 1
+        self.nodes[node.index()].subtree_end == node.0 + 1
     }
 
     /// The children in order.
@@ -484,7 +496,7 @@ impl LodTree {
         core::iter::from_fn(move || {
             (next < end).then(|| {
                 let child = NodeId(next);
-                next = self.subtree_end[child.index()];
+                next = self.nodes[child.index()].subtree_end;
                 child
             })
         })
@@ -497,12 +509,12 @@ impl LodTree {
 
     /// Middle of the node's content box, metres.
     pub fn centre(&self, node: NodeId) -> DVec3 {
-        self.centre[node.index()]
+        self.nodes[node.index()].centre
     }
 
     /// Half the sides of the node's content box, metres.
     pub fn half(&self, node: NodeId) -> DVec3 {
-        self.half[node.index()].as_dvec3()
+        self.nodes[node.index()].half.as_dvec3()
     }
 
     /// The node's content box.
@@ -514,19 +526,19 @@ impl LodTree {
     /// S_n by axis: Σ over the leaves beneath of ι × the area (m²) of the content box's face across x, y and z.
     /// The area of the leaves projected along the unit vector u is |u.x|·S.x + |u.y|·S.y + |u.z|·S.z.
     pub fn face_areas(&self, node: NodeId) -> DVec3 {
-        let [x, y, z] = self.area[node.index()];
+        let [x, y, z] = self.nodes[node.index()].area;
         DVec3::new(f64::from(x), f64::from(y), f64::from(z))
     }
 
     /// Bounds for every representation strictly beneath.
     pub fn beneath_bounds(&self, node: NodeId) -> Beneath {
-        Beneath::unpack(self.beneath[node.index()])
+        Beneath::unpack(self.nodes[node.index()].beneath)
     }
 
     /// The same for one representation.
     pub fn own_bounds(&self, rep: RepId) -> Beneath {
-        let node = self.rep_node[rep.index()] as usize;
-        Beneath::of(self.area[node], self.rep_wire[rep.index()], self.rep_error[rep.index()])
+        let Rep { node, wire, error, .. } = self.reps[rep.index()];
+        Beneath::of(self.nodes[node as usize].area, wire, error)
     }
 
     /// ι of a leaf.
@@ -536,32 +548,33 @@ impl LodTree {
 
     /// The representations that the node owns.
     pub fn own(&self, node: NodeId) -> impl DoubleEndedIterator<Item = RepId> + ExactSizeIterator + Clone + use<> {
-        (self.first_rep[node.index()]..self.first_rep[node.index() + 1]).map(RepId)
+        (self.nodes[node.index()].first_rep..self.nodes[node.index() + 1].first_rep).map(RepId)
     }
 
     /// The representations owned by the node and everything beneath it: one interval of ids.
     pub fn beneath(&self, node: NodeId) -> impl DoubleEndedIterator<Item = RepId> + ExactSizeIterator + use<> {
-        (self.first_rep[node.index()]..self.first_rep[self.subtree_end[node.index()] as usize]).map(RepId)
+        let Node { first_rep, subtree_end, .. } = self.nodes[node.index()];
+        (first_rep..self.nodes[subtree_end as usize].first_rep).map(RepId)
     }
 
     /// n(r), the node that owns the representation.
     pub fn node_of(&self, rep: RepId) -> NodeId {
-        NodeId(self.rep_node[rep.index()])
+        NodeId(self.reps[rep.index()].node)
     }
 
     /// M_r.
     pub fn wire_bytes(&self, rep: RepId) -> u64 {
-        u64::from(self.rep_wire[rep.index()])
+        u64::from(self.reps[rep.index()].wire)
     }
 
     /// m_r.
     pub fn decoded_bytes(&self, rep: RepId) -> u64 {
-        u64::from(self.rep_decoded[rep.index()])
+        u64::from(self.reps[rep.index()].decoded)
     }
 
     /// g_r, metres.
     pub fn error(&self, rep: RepId) -> f64 {
-        f64::from(self.rep_error[rep.index()])
+        f64::from(self.reps[rep.index()].error)
     }
 
     /// What must be resident before `rep` is of use.
@@ -584,13 +597,14 @@ impl LodTree {
         // Least error of the node's own representations and those above it, in preorder.
         let mut least = vec![f32::INFINITY; self.nodes()];
         (0..self.nodes()).all(|node| {
-            let above = match self.parent[node] {
+            let above = match self.nodes[node].parent {
                 u32::MAX => f32::INFINITY,
                 parent => least[parent as usize],
             };
-            let own = &self.rep_error[self.first_rep[node] as usize..self.first_rep[node + 1] as usize];
-            least[node] = own.iter().copied().fold(above, f32::min);
-            own.iter().all(|&error| error <= above)
+            let own = self.nodes[node].first_rep as usize..self.nodes[node + 1].first_rep as usize;
+            let own = self.reps[own].iter().map(|rep| rep.error);
+            least[node] = own.clone().fold(above, f32::min);
+            own.into_iter().all(|error| error <= above)
         })
     }
 
@@ -622,7 +636,7 @@ impl LodTree {
             let node = NodeId(next);
             if self.own(node).len() > 0 {
                 group.push(node);
-                next = self.subtree_end[node.index()];
+                next = self.nodes[node.index()].subtree_end;
             } else {
                 next += 1;
             }
@@ -632,9 +646,9 @@ impl LodTree {
 
     /// Bytes that the arrays occupy.
     pub fn heap_bytes(&self) -> usize {
-        self.nodes() * (4 + 4 + 24 + 12 + 12 + 4 + 10)
+        self.nodes() * size_of::<Node>()
             + self.importance.len() * 4
-            + self.representations() * (4 * 4)
+            + self.representations() * size_of::<Rep>()
             + self.rep_prerequisite.len() * 4
             + self.rep_direction.len()
             + self.surface.len() * 4 * ELEMENTS

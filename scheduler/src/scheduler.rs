@@ -218,9 +218,9 @@ impl<'a> Scheduler<'a> {
         &self.state
     }
 
-    /// Bytes that the session occupies beside the shared world; what the policy keeps for itself is not counted.
+    /// Bytes that the session occupies beside the shared world, with what the policy says that it keeps.
     pub fn heap_bytes(&self) -> usize {
-        self.state.heap_bytes()
+        self.state.heap_bytes() + self.policy.heap_bytes()
     }
 
     /// What became of α so far, for a policy that has one.

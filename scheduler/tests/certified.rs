@@ -252,6 +252,12 @@ fn no_bound_is_below_what_it_bounds() {
             for rep in tree.beneath(node).filter(|&r| tree.node_of(r) != node && !standing.plan().contains(r)) {
                 assert!(beneath >= exact[rep.index()], "{beneath} {}", exact[rep.index()]);
             }
+            if !tree.has_directions() {
+                let rough = search.rough_bound_of(&ask, &standing, node);
+                for rep in tree.beneath(node).filter(|&r| !standing.plan().contains(r)) {
+                    assert!(rough >= exact[rep.index()], "{rough} {}", exact[rep.index()]);
+                }
+            }
         }
         let _ = &mut standing;
     }

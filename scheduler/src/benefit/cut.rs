@@ -87,7 +87,11 @@ pub enum Region {
 impl Cut {
     /// Makes the cut of `view` into `self`, reusing its memory.
     pub fn make(&mut self, tree: &LodTree, view: &View, region: Region, settings: &CutSettings) {
-        let eye = Eye::new(view, region, settings);
+        self.make_from(tree, &Eye::new(view, region, settings));
+    }
+
+    /// The same from an eye.
+    pub fn make_from(&mut self, tree: &LodTree, eye: &Eye) {
         self.patches.clear();
         self.total_weight = 0.0;
         self.eye = eye.frustum.eye;
@@ -124,6 +128,11 @@ impl Cut {
         self.scale = eye.scale(self.total_weight);
     }
 
+    /// Bytes that the patches occupy.
+    pub fn heap_bytes(&self) -> usize {
+        self.patches.capacity() * size_of::<Patch>()
+    }
+
     /// Share of each element in what `node`, in view, weighs here.
     pub fn shares(&self, tree: &LodTree, node: NodeId) -> [f64; element::ELEMENTS] {
         element::shares(tree, node, tree.centre(node) - self.eye, tree.half(node), self.reach)
@@ -149,6 +158,11 @@ impl Eye {
             Region::Reachable { angle, reach, .. } => Widened::new(&frustum, angle, reach),
         };
         Eye { frustum, region, widened, settings: *settings }
+    }
+
+    /// The same with another opening angle.
+    pub fn with_opening(&self, opening: f64) -> Eye {
+        Eye { settings: CutSettings { opening, ..self.settings }, ..self.clone() }
     }
 
     /// Where a box lies, by its centre relative to the eye and its half sides, metres.

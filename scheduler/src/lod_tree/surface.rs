@@ -36,7 +36,7 @@ impl LodTree {
                 }
                 wide
             }
-            None => faces_of_box(self.area[node.index()]),
+            None => faces_of_box(self.nodes[node.index()].area),
         }
     }
 
@@ -45,8 +45,8 @@ impl LodTree {
         let mut sums = vec![[0.0f64; ELEMENTS]; self.nodes()];
         let mut told = told.iter().peekable();
         for (node, sum) in sums.iter_mut().enumerate() {
-            if self.subtree_end[node] as usize == node + 1 {
-                let faces = faces_of_box(self.area[node]);
+            if self.nodes[node].subtree_end as usize == node + 1 {
+                let faces = faces_of_box(self.nodes[node].area);
                 *sum = match told.next_if(|(of, _)| *of as usize == node) {
                     Some((_, shares)) => {
                         let whole: f64 = faces.iter().sum();
@@ -58,7 +58,7 @@ impl LodTree {
         }
         for node in (1..self.nodes()).rev() {
             let (above, below) = sums.split_at_mut(node);
-            for (sum, area) in above[self.parent[node] as usize].iter_mut().zip(below[0]) {
+            for (sum, area) in above[self.nodes[node].parent as usize].iter_mut().zip(below[0]) {
                 *sum += area;
             }
         }

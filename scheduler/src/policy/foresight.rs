@@ -127,6 +127,11 @@ impl Foresight {
         }
     }
 
+    /// Whether the time ahead has to be sampled anew.
+    fn is_due(&self, now: Time) -> bool {
+        self.sampled.is_none_or(|t| now.since(t).secs() >= self.settings.reuse_s)
+    }
+
     /// The paths ahead of the cameras at `now`, and what is reachable if they fail.
     fn look_ahead(&mut self, state: &ClientState, now: Time) -> Lookahead {
         let s = self.settings;
@@ -164,7 +169,7 @@ impl Foresight {
         let link = &state.link;
         let full = !state.requests().is_empty()
             && state.outstanding_bytes() as f64 >= link.rate() * (link.latency_s() + self.settings.slack_s);
-        let due = self.sampled.is_none_or(|t| now.since(t).secs() >= self.settings.reuse_s);
+        let due = self.is_due(now);
         if due {
             self.sample(method, state, now);
             let cx = self.context(state, due);
@@ -297,7 +302,8 @@ impl Policy for Foresight {
     }
 
     fn observe_cameras(&mut self, state: &ClientState, cameras: &[(f64, View)], now: Time) {
-        self.alpha.observe(state.tree, cameras, now);
+        let is_busy = self.is_due(now);
+        self.alpha.observe(state, cameras, now, is_busy);
         let mut is_new = self.cameras.len() != cameras.len();
         let kind = self.settings.predictor;
         self.cameras.resize_with(cameras.len(), || Camera::new(kind.build()));
@@ -366,6 +372,10 @@ impl Policy for Foresight {
         if self.cameras.first_mut().is_some_and(|camera| camera.announce_path(path)) {
             self.sampled = None;
         }
+    }
+
+    fn heap_bytes(&self) -> usize {
+        self.alpha.heap_bytes() + self.method.as_ref().map_or(0, |method| method.heap_bytes())
     }
 
     fn certificate(&self) -> Option<Certificate> {

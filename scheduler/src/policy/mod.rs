@@ -174,6 +174,11 @@ pub trait Policy: Send {
     /// The client has said where it will go.
     fn announce_path(&mut self, _path: &[(Time, View)]) {}
 
+    /// Bytes of the tables that grow with what is resident, planned or searched; 0 for a policy that does not count them.
+    fn heap_bytes(&self) -> usize {
+        0
+    }
+
     /// What is proven about the last choice, by a policy that proves something.
     fn certificate(&self) -> Option<Certificate> {
         None

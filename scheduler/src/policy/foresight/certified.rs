@@ -21,11 +21,13 @@ use std::collections::BTreeMap;
 
 /// Evaluations that one choice has in any case.
 const EVALUATIONS_MIN: u64 = 20;
-/// Times the evaluations of an observation, for choices that cannot wait: what was found out ahead of need mostly
-/// suffices, and where it does not, a choice far from the best costs more than the time.
-const URGENT: u64 = 8;
+/// Times the evaluations that an observation makes ahead of need, for these and the choices that cannot wait together: what was
+/// found out ahead mostly suffices, and where it does not, a choice far from the best costs more than the time.
+const URGENT: u64 = 4;
 /// Candidates whose discards are worked out for one decision; the rest are worse even without any loss.
 const SWAPS_WEIGHED: usize = 12;
+/// Views of a new sampling that one observation scales; it is searched once all are.
+const SCALED_AT_ONCE: usize = 8;
 /// Losses are watched from when less than this share of memory is free.
 const WATCHED_BELOW: f64 = 0.125;
 
@@ -63,6 +65,8 @@ pub(super) struct CertifiedChoice {
     taken: (f64, f64),
     /// Evaluations made by the present search before the latest observation.
     evaluations_before: u64,
+    /// Evaluations made ahead of need since the latest observation.
+    evaluations_ahead: u64,
     certificate: Option<Certificate>,
 }
 
@@ -139,7 +143,7 @@ impl CertifiedChoice {
         self.restart(ask, standing);
         let state = cx.state;
         let (evaluations, opened) = (self.present.search.evaluations(), self.present.search.nodes_opened());
-        let urgent = URGENT.saturating_mul(cx.settings.evaluations);
+        let urgent = URGENT.saturating_mul(cx.settings.evaluations).saturating_sub(self.evaluations_ahead);
         let evaluations_max = self.evaluations_before.saturating_add(urgent).max(evaluations + EVALUATIONS_MIN);
         let mut least_loss = f64::INFINITY;
         let mut best: Option<(Choice, f64)> = None;
@@ -258,12 +262,13 @@ impl Choose for CertifiedChoice {
         let settings = ObjectiveSettings { alpha: ahead.alpha, attenuation: s.attenuation, cut: s.cut };
         if self.is_coming {
             // It has had its time.
+            self.coming.objective.scale(cx.state.tree, usize::MAX);
             core::mem::swap(&mut self.present, &mut self.coming);
             self.take_over();
         }
         self.coming.objective.cameras = ahead.cameras;
         let worst = Worst::Several(&ahead.worst);
-        self.coming.objective.make(cx.state.tree, &ahead.paths, &ahead.bounds, worst, &settings);
+        self.coming.objective.begin(&ahead.paths, &ahead.bounds, worst, &settings);
         self.coming.restarted = false;
         (self.coming.sampled, self.coming.queued_bytes) = (cx.sampled, cx.queued_bytes);
         let nearest = ahead.paths.iter().filter_map(|path| path.views.first().copied());
@@ -271,6 +276,7 @@ impl Choose for CertifiedChoice {
         self.coming.nearest.extend(cx.state.cameras().iter().map(|(share, _)| *share).zip(nearest));
         (self.is_coming, self.prepared) = (true, true);
         if ahead.anew {
+            self.coming.objective.scale(cx.state.tree, usize::MAX);
             core::mem::swap(&mut self.present, &mut self.coming);
             self.take_over();
         }
@@ -283,19 +289,22 @@ impl Choose for CertifiedChoice {
         if (cx.state.free_bytes() as f64) < WATCHED_BELOW * cx.state.budget as f64 {
             self.with_ask(cx, |this, ask, standing| this.residents.turn(ask, standing, ask.link.first_byte_s));
         }
-        if !self.is_coming {
+        if !self.is_coming || !self.coming.objective.scale(cx.state.tree, SCALED_AT_ONCE) {
             return;
         }
         core::mem::swap(&mut self.present, &mut self.coming);
         let is_certain = self.with_ask(cx, |this, ask, standing| {
             this.restart(ask, standing);
             let search = &mut this.present.search;
+            let before = search.evaluations();
             let evaluations_max = search.evaluations().saturating_add(cx.settings.evaluations);
             let stop = Stop { tolerance: cx.settings.tolerance, floor: 0.0, evaluations_max };
             if let Some(best) = search.next(ask, standing, stop) {
                 search.give_back(&best);
             }
-            search.evaluations() < evaluations_max
+            let made = search.evaluations() - before;
+            this.evaluations_ahead += made;
+            made < cx.settings.evaluations
         });
         if is_certain {
             self.take_over();
@@ -331,6 +340,7 @@ impl Choose for CertifiedChoice {
 
     fn observed(&mut self) {
         self.evaluations_before = self.present.search.evaluations();
+        self.evaluations_ahead = 0;
         self.prepared = false;
     }
 
@@ -411,6 +421,15 @@ impl Choose for CertifiedChoice {
             "sibling groups are for the sampled choice"
         );
         self.with_ask(cx, |this, ask, standing| this.choose_with(cx, ask, standing))
+    }
+
+    fn heap_bytes(&self) -> usize {
+        let prospect = |p: &Prospect| p.objective.heap_bytes() + p.search.heap_bytes();
+        self.standing.as_ref().map_or(0, Standing::heap_bytes)
+            + self.residents.heap_bytes()
+            + prospect(&self.present)
+            + prospect(&self.coming)
+            + self.seen.iter().map(|(_, cut)| cut.heap_bytes()).sum::<usize>()
     }
 
     fn certificate(&self) -> Option<Certificate> {

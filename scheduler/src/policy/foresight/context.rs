@@ -118,6 +118,10 @@ pub(super) trait Choose: Send {
     fn loss(&mut self, cx: &Context, rep: RepId) -> f64;
     /// The best closure that gains, with its discards.
     fn choose(&mut self, cx: &Context) -> Option<Choice>;
+    /// Bytes of its tables.
+    fn heap_bytes(&self) -> usize {
+        0
+    }
     /// What is proven about the last choice.
     fn certificate(&self) -> Option<Certificate> {
         None

@@ -19,7 +19,7 @@ pub(super) fn bit(term: usize) -> Mask {
 }
 
 /// Covers the rounding of areas to f32 and of the sums in f64, which is below 10⁻⁶ and 10⁻¹².
-const SLACK: f64 = 1.0 + 1e-6;
+pub(super) const SLACK: f64 = 1.0 + 1e-6;
 
 /// A bound that is wanted: for candidates with at most this area per byte and at least this error, where at most `shown`
 /// is shown.
@@ -80,18 +80,23 @@ impl Target {
         Target { density: areas, least_squared: least * least, shown: f64::from(shown), shows: u16::MAX }
     }
 
+    /// Area per byte by axis, or area, m².
+    pub(super) fn density(&self) -> DVec3 {
+        self.density
+    }
+
     /// Largest accuracy that can be added at a sharpness of exactly `s`.
     pub(super) fn added_at(&self, s: f64) -> f64 {
-        let with = 1.0 / (1.0 + self.least_squared * s);
+        let with = 1.0 + self.least_squared * s;
         if self.shown == f64::INFINITY {
-            return with;
+            return 1.0 / with;
         }
         let shown_squared = self.shown * self.shown;
-        s * (shown_squared - self.least_squared) * with / (1.0 + shown_squared * s)
+        s * (shown_squared - self.least_squared) / (with * (1.0 + shown_squared * s))
     }
 
     /// At any sharpness up to `s`: the accuracy added rises up to s = 1/(e·e_shown) and falls from there on.
-    fn added_up_to(&self, s: f64) -> f64 {
+    pub(super) fn added_up_to(&self, s: f64) -> f64 {
         let best = 1.0 / (self.least_squared.sqrt() * self.shown);
         if self.shown == f64::INFINITY {
             // Nearest 1 from far away.
@@ -202,9 +207,10 @@ impl Objective {
             out.fill(f64::INFINITY);
             return;
         }
+        let by_squared = 1.0 / squared;
         // Largest cosine between the directions into the box and each axis.
-        let cosines = ((centre.abs() + half) * (1.0 / distance)).min(DVec3::ONE);
-        let share = weight / squared;
+        let cosines = ((centre.abs() + half) * (distance * by_squared)).min(DVec3::ONE);
+        let share = weight * by_squared;
         if reachable {
             let s = term.sharpness / (shown_from * shown_from);
             for (bound, target) in out.iter_mut().zip(targets) {
@@ -212,7 +218,7 @@ impl Objective {
             }
         } else {
             // Weight × accuracy added is s·Δa(s) up to constants, which rises with s: nearest counts most.
-            let s = term.sharpness / squared;
+            let s = term.sharpness * by_squared;
             for (bound, target) in out.iter_mut().zip(targets) {
                 *bound += share * target.density.dot(cosines) * target.added_at(s);
             }

@@ -6,6 +6,9 @@
 //! a candidate's own bound, then its exact gain. The choice ends when the best exact ratio is at least every bound that is
 //! left, or close enough to it.
 //!
+//! Of the children of an opened node only the most promising is looked at; the others wait under a rough bound that takes the
+//! eyes of an interval of time as one box and asks no frustum. Most of them are never looked at.
+//!
 //! Bounds hold for the estimator, not only for the integral: its weights are positive, so its largest term bounds its sum.
 //! They hold while things are added. What is discarded enters anew, with all above and beneath it.
 
@@ -15,6 +18,7 @@ mod lanes;
 mod marginal;
 mod objective;
 mod residents;
+mod rough;
 mod search;
 mod standing;
 

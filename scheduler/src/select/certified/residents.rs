@@ -79,6 +79,13 @@ impl Residents {
         *self = Residents::default();
     }
 
+    /// Bytes that they occupy.
+    pub fn heap_bytes(&self) -> usize {
+        self.slots.capacity() * size_of::<Slot>()
+            + self.place.allocation_size()
+            + self.heap.capacity() * size_of::<Reverse<Victim>>()
+    }
+
     /// `rep` is planned.
     pub fn added(&mut self, rep: RepId) {
         if self.place.contains_key(&rep.0) {
@@ -231,7 +238,9 @@ impl Residents {
         ask.objective.weights(offset, &mut self.weights);
         let mut sacrifice = Sacrifice::default();
         let mut freed = 0;
-        let mut near: Vec<RepId> = near.iter().copied().filter(|&r| planned && may_go(r)).collect();
+        // With the loss last weighed, which holds until something above or beneath goes.
+        let near = near.iter().copied().filter(|&r| planned && may_go(r));
+        let mut near: Vec<(RepId, Option<Victim>)> = near.map(|rep| (rep, None)).collect();
         let mut aside = Vec::new();
         let related = |a: RepId, b: RepId| {
             let (a, b) = (tree.node_of(a), tree.node_of(b));
@@ -287,10 +296,14 @@ impl Residents {
                 }
             }
             let mut nearest: Option<Victim> = None;
-            for &rep in near.iter().filter(|&&r| standing.plan().contains(r)) {
-                looks += 1;
-                let fresh = weigh(search, standing, rep, 0);
-                nearest = Some(nearest.map_or(fresh, |n: Victim| n.min(fresh)));
+            // Nothing loses less than nothing.
+            let is_free = first.is_some_and(|first| first.loss_per_byte <= 0.0);
+            for (rep, known) in near.iter_mut().filter(|(r, _)| !is_free && standing.plan().contains(*r)) {
+                let known = known.get_or_insert_with(|| {
+                    looks += 1;
+                    weigh(search, standing, *rep, 0)
+                });
+                nearest = Some(nearest.map_or(*known, |n: Victim| n.min(*known)));
             }
             let victim = match (first, nearest) {
                 (Some(a), Some(b)) if b.loss_per_byte < a.loss_per_byte => {
@@ -301,7 +314,10 @@ impl Residents {
                 (None, Some(b)) => b,
                 (None, None) => break,
             };
-            near.retain(|&r| r != victim.rep);
+            near.retain(|(rep, _)| *rep != victim.rep);
+            for (_, known) in near.iter_mut().filter(|(rep, _)| related(*rep, victim.rep)) {
+                *known = None;
+            }
             sacrifice.loss += victim.loss_per_byte * tree.decoded_bytes(victim.rep).max(1) as f64;
             freed += tree.decoded_bytes(victim.rep);
             sacrifice.reps.push(victim.rep);

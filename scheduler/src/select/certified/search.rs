@@ -7,6 +7,7 @@ use super::standing::Standing;
 use crate::benefit::element;
 use crate::lod_tree::{LodTree, NodeId, RepId};
 use crate::sparse::IdMap;
+use glam::DVec3;
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 use std::collections::binary_heap::PeekMut;
@@ -15,6 +16,8 @@ use std::collections::binary_heap::PeekMut;
 const CHILDREN_AT_ONCE: usize = 32;
 /// Closures that a new search looks at first.
 const SEEDS: usize = 12;
+/// Rough looks that count as one evaluation.
+const ROUGH_LOOKS: u64 = 4;
 /// Closures evaluated when a search is cut short.
 const LAST_LOOKS: usize = 8;
 /// Gains computed before and after a change elsewhere may differ by the rounding of areas to f32.
@@ -90,7 +93,8 @@ pub struct Ranked {
     seen: usize,
 }
 
-/// Everything strictly beneath a node, from the child `from` on.
+/// Everything strictly beneath a node, from the child `from` on; with `from` = `node` the node's own candidates too, none of
+/// which has been looked at.
 #[derive(Clone, Copy, Debug)]
 struct Below {
     ratio: f64,
@@ -159,6 +163,9 @@ pub struct Search {
     waiting: IdMap<Vec<(RepId, f64)>>,
     scratch: Scratch,
     weights: Vec<f64>,
+    /// Shares by place, for what is looked at roughly.
+    place_weights: Vec<f64>,
+    rough_looks: u64,
     targets: Vec<Target>,
     reps: Vec<RepId>,
     out: Vec<f64>,
@@ -195,9 +202,22 @@ impl Search {
         self.push_beneath(f64::INFINITY, root, standing.plan().best_at(root), ALL);
     }
 
-    /// Nodes visited since the start, for bounds and for exact values.
+    /// Bytes that its heaps and tables occupy.
+    pub fn heap_bytes(&self) -> usize {
+        let waiting: usize = self.waiting.values().map(Vec::capacity).sum();
+        self.below.capacity() * size_of::<Below>()
+            + self.bounded.capacity() * size_of::<Bounded>()
+            + self.exact.capacity() * size_of::<Exact>()
+            + self.changes.capacity() * size_of::<NodeId>()
+            + self.evaluated.allocation_size()
+            + self.opened.allocation_size()
+            + self.waiting.allocation_size()
+            + waiting * size_of::<(RepId, f64)>()
+    }
+
+    /// Nodes visited since the start, for bounds and for exact values; of those only glanced at, a quarter.
     pub fn evaluations(&self) -> u64 {
-        self.evaluations + self.scratch.visited
+        self.evaluations + self.rough_looks / ROUGH_LOOKS + self.scratch.visited
     }
 
     /// Nodes opened since the start.
@@ -324,9 +344,61 @@ impl Search {
                 .any(|node| changed.iter().any(|&other| tree.is_beneath(node, other) || tree.is_beneath(other, node)))
     }
 
+    /// A rough bound for a child's own candidates and everything beneath it, if any of it can gain. `shown` is the least
+    /// error planned above it; `is_held` says whether something may be planned at it or beneath.
+    fn glance(
+        &mut self,
+        ask: &Ask,
+        standing: &Standing,
+        child: NodeId,
+        shown: f32,
+        mask: Mask,
+        is_held: bool,
+    ) -> Option<Below> {
+        let tree = ask.tree;
+        self.rough_looks += 1;
+        let (own, is_held_beneath) = if is_held { standing.plan().at(child) } else { (f32::INFINITY, false) };
+        let shown = shown.min(own);
+        let (left, beneath_shown) = if is_held_beneath {
+            let summary = standing.beneath(tree, child);
+            (summary.left, summary.shown)
+        } else {
+            (tree.beneath_bounds(child), f32::INFINITY)
+        };
+        let worst_shown = shown.min(beneath_shown);
+        let areas = tree.face_areas(child);
+        let (mut least_wire, mut least_error) = (u64::MAX, f32::INFINITY);
+        for rep in tree.own(child) {
+            let error = tree.error(rep) as f32;
+            if error < worst_shown && !(own < f32::INFINITY && standing.plan().contains(rep)) {
+                (least_wire, least_error) = (least_wire.min(tree.wire_bytes(rep)), least_error.min(error));
+            }
+        }
+        let mut density = DVec3::ZERO;
+        if least_wire < u64::MAX {
+            density = areas / least_wire as f64;
+        }
+        if left.least_error < worst_shown {
+            density = density.max(DVec3::from(left.density.map(f64::from)));
+            least_error = least_error.min(left.least_error);
+        }
+        if least_error == f32::INFINITY {
+            return None;
+        }
+        let target = Target::of_area(density, least_error, worst_shown);
+        let (centre, half) = (tree.centre(child), tree.half(child));
+        let gain_per_byte = ask.objective.rough_bound(&self.place_weights, centre, half, &target);
+        let ratio = gain_per_byte / ask.link.seconds_per_byte;
+        (ratio > 0.0).then_some(Below { ratio, node: child, from: child, shown, mask })
+    }
+
     fn open(&mut self, ask: &Ask, standing: &Standing, below: Below) {
         let Below { node, from, shown, mask, .. } = below;
         let tree = ask.tree;
+        if from == node {
+            let shown = shown.min(standing.plan().best_at(node));
+            return self.look(ask, standing, node, shown, mask, true);
+        }
         if from.0 == node.0 + 1 {
             if let Some(&seen) = self.opened.get(&node.0) {
                 let changed = &self.changes[seen.min(self.changes.len())..];
@@ -339,16 +411,37 @@ impl Search {
         self.nodes_opened += 1;
         let end = tree.subtree_end(node);
         let mut child = from;
+        let is_rough = !tree.has_directions();
+        if is_rough {
+            ask.objective.weights(ask.link.first_byte_s, &mut self.weights);
+            ask.objective.place_weights(&self.weights, mask, &mut self.place_weights);
+        }
+        let is_held_beneath = standing.plan().any_beneath(node);
+        // The most promising child is looked at in any case: a search that is cut short then has something to take.
+        let mut first: Option<Below> = None;
         for _ in 0..CHILDREN_AT_ONCE {
             if child >= end {
-                return;
+                break;
             }
-            let shown = shown.min(standing.plan().best_at(child));
-            self.look(ask, standing, child, shown, mask, true);
+            if is_rough {
+                let below = self.glance(ask, standing, child, shown, mask, is_held_beneath);
+                let is_first = |below: &Below| first.is_none_or(|first| *below > first) && tree.own(child).len() > 0;
+                self.below.extend(match below {
+                    Some(below) if is_first(&below) => first.replace(below),
+                    other => other,
+                });
+            } else {
+                let shown = shown.min(standing.plan().best_at(child));
+                self.look(ask, standing, child, shown, mask, true);
+            }
             child = tree.subtree_end(child);
         }
         if child < end {
             self.below.push(Below { from: child, ..below });
+        }
+        if let Some(Below { node, shown, mask, .. }) = first {
+            let shown = shown.min(standing.plan().best_at(node));
+            self.look(ask, standing, node, shown, mask, true);
         }
     }
 
@@ -480,8 +573,8 @@ impl Search {
     /// Afterwards [`Search::upper`] bounds every other one.
     pub fn next(&mut self, ask: &Ask, standing: &mut Standing, stop: Stop) -> Option<Ranked> {
         let mut last = 0;
+        let mut first = self.first_exact(ask, standing);
         loop {
-            let first = self.first_exact(ask, standing);
             let bound = self.bound();
             let exact = first.map_or(0.0, |e| e.ratio);
             let missed = bound > exact && bound > stop.floor && bound * (1.0 - stop.tolerance) > exact;
@@ -490,7 +583,10 @@ impl Search {
             if missed && self.evaluations() < stop.evaluations_max {
                 let below = self.below.peek().map_or(0.0, |b| b.ratio);
                 match self.pop_bounded(|ratio| ratio >= below) {
-                    Some(Bounded { ratio, rep }) => self.evaluate(ask, standing, rep, ratio),
+                    Some(Bounded { ratio, rep }) => {
+                        self.evaluate(ask, standing, rep, ratio);
+                        first = self.first_exact(ask, standing);
+                    }
                     None => {
                         let Some(below) = self.below.pop() else { continue };
                         self.open(ask, standing, below);
@@ -503,16 +599,17 @@ impl Search {
                 if let Some(Bounded { ratio, rep }) = self.pop_bounded(|ratio| ratio > exact) {
                     last += 1;
                     self.evaluate(ask, standing, rep, ratio);
+                    first = self.first_exact(ask, standing);
                     continue;
                 }
             }
-            let first = first.filter(|e| e.ratio > stop.floor)?;
+            let Exact { ratio, rep, gain, cost, seen } = first.filter(|e| e.ratio > stop.floor)?;
             self.exact.pop();
-            let members = closure(ask.tree, standing, first.rep);
+            let members = closure(ask.tree, standing, rep);
             if members.iter().all(|&m| (ask.allowed)(m)) {
-                let Exact { ratio, rep, gain, cost, seen } = first;
                 return Some(Ranked { rep, members, gain, cost, ratio, seen });
             }
+            first = self.first_exact(ask, standing);
         }
     }
 
@@ -534,6 +631,14 @@ impl Search {
     /// Any representation's exact ratio as a candidate, as [`Search::next`] computes it; `None` if it cannot be requested.
     pub fn exact(&mut self, ask: &Ask, standing: &mut Standing, rep: RepId) -> Option<Ranked> {
         self.rank(ask, standing, rep)
+    }
+
+    /// The rough bound on the ratios of a node's own candidates and everything beneath it, of a world without directions.
+    pub fn rough_bound_of(&mut self, ask: &Ask, standing: &Standing, node: NodeId) -> f64 {
+        ask.objective.weights(ask.link.first_byte_s, &mut self.weights);
+        ask.objective.place_weights(&self.weights, ALL, &mut self.place_weights);
+        let above = ask.tree.parent(node).map_or(f32::INFINITY, |parent| standing.plan().best_above(ask.tree, parent));
+        self.glance(ask, standing, node, above, ALL, true).map_or(0.0, |below| below.ratio)
     }
 
     /// Upper bounds on the ratios of a node's own candidates and of everything strictly beneath it, as a search without

@@ -67,6 +67,11 @@ impl Standing {
         changed
     }
 
+    /// Bytes that it occupies.
+    pub fn heap_bytes(&self) -> usize {
+        self.plan.heap_bytes() + self.summaries.allocation_size() + self.elements.allocation_size()
+    }
+
     /// What lies strictly beneath a node.
     pub(super) fn beneath(&self, tree: &LodTree, node: NodeId) -> Summary {
         let known = if self.plan.any_beneath(node) { self.summaries.get(&node.0).copied() } else { None };

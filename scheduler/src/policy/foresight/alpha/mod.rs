@@ -4,18 +4,16 @@
 //! single worst views, that of the one with the largest deficit, 1 + W/Σw.
 
 mod ascent;
+mod measured;
 mod pool;
 
-use crate::benefit::coverage::Coverage;
 use crate::benefit::cut::{Cut, CutSettings, Region};
-use crate::benefit::quality::evaluate;
-use crate::lod_tree::LodTree;
 use crate::predict::PredictedPath;
 use crate::state::ClientState;
 use crate::units::Time;
 use crate::view::View;
-use crate::worst_case::union_cut;
 use ascent::Ascent;
+use measured::Measured;
 use pool::Pool;
 
 /// Quality of the worst case that [`AlphaRule::Solved`] asks for unless told otherwise.
@@ -27,6 +25,14 @@ pub const ALPHA_MAX: f64 = 0.98;
 
 /// Longest time that one sampling stands for, seconds: what came before a pause says nothing about the pause.
 const STEP_S_MAX: f64 = 1.0;
+
+/// Seconds within which the next observation counts as soon: what can wait for it then does, so that no single one has all
+/// of the work.
+const SOON_S: f64 = 0.1;
+/// Seconds between measurements of W/Σw where nothing but the report depends on them.
+const REPORT_EVERY_S: f64 = 1.0;
+/// Least opening angle of the cuts by which W/Σw is measured where nothing but the report depends on it.
+const REPORT_OPENING_MIN: f64 = 0.8;
 
 /// Where α comes from.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -117,6 +123,13 @@ pub(super) struct Alpha {
     rule: AlphaRule,
     alpha: f64,
     sampled: Option<Time>,
+    observed: Option<Time>,
+    /// Whether the last observation has left its work to this one.
+    has_waited: bool,
+    /// Seconds for which no worst case has been measured yet.
+    unmeasured_s: f64,
+    /// The worst case whose quality is being measured.
+    measured: Option<Measured>,
     session: Means,
     ascent: Ascent,
     pool: Pool,
@@ -144,6 +157,10 @@ impl Alpha {
             rule,
             alpha,
             sampled: None,
+            observed: None,
+            has_waited: false,
+            unmeasured_s: 0.0,
+            measured: None,
             session: Means::default(),
             ascent: Ascent::new(target, alpha),
             pool: Pool::new(alpha),
@@ -158,12 +175,22 @@ impl Alpha {
         }
         let seconds = self.sampled.map_or(0.0, |before| sampled.now.since(before).secs().min(STEP_S_MAX));
         self.sampled = Some(sampled.now);
-        let quality = self.worst_quality(state.tree, state.resident(), sampled);
-        self.session.add(self.alpha, quality, seconds);
-        self.ascent.update(self.alpha, quality, seconds);
+        self.session.add_alpha(self.alpha, seconds);
+        let is_solved = matches!(self.rule, AlphaRule::Solved { .. });
+        // What is measured next stands for all the time since what was measured last.
+        self.unmeasured_s += seconds;
+        if self.measured.is_none() && (is_solved || self.unmeasured_s >= REPORT_EVERY_S) {
+            let seconds = core::mem::take(&mut self.unmeasured_s);
+            let opening = sampled.cut.opening.max(if is_solved { 0.0 } else { REPORT_OPENING_MIN });
+            let memory = core::mem::take(&mut self.cut);
+            self.measured = Some(Measured::new(sampled, opening, self.alpha, seconds, memory));
+        }
         match self.rule {
             AlphaRule::Fixed | AlphaRule::Watched => {}
-            AlphaRule::Solved { .. } => self.alpha = self.ascent.alpha(),
+            AlphaRule::Solved { .. } => {
+                self.measure(state, false);
+                self.alpha = self.ascent.alpha();
+            }
             AlphaRule::Adapted => {
                 self.pool.remember(sampled);
                 self.alpha = self.pool.alpha();
@@ -172,11 +199,41 @@ impl Alpha {
         self.alpha
     }
 
-    /// The cameras, with their shares, are where they are: what was predicted for now is judged.
-    pub(super) fn observe(&mut self, tree: &LodTree, cameras: &[(f64, View)], now: Time) {
-        if self.rule == AlphaRule::Adapted {
-            self.pool.judge(tree, cameras, now);
+    /// The cameras, with their shares, are where they are: what was predicted for now is judged. Where the next observation
+    /// is likely to come soon, it has what this one leaves: all, once, if this one `is_busy`, and otherwise all but a part.
+    pub(super) fn observe(&mut self, state: &ClientState, cameras: &[(f64, View)], now: Time, is_busy: bool) {
+        let is_next_soon = self.observed.is_some_and(|before| now.since(before).secs() <= SOON_S);
+        self.observed = Some(now);
+        self.has_waited = is_busy && is_next_soon && !self.has_waited;
+        if self.has_waited {
+            return;
         }
+        let is_adapted = self.rule == AlphaRule::Adapted;
+        let has_judged = is_adapted && self.pool.judge(state.tree, cameras, now, is_next_soon);
+        if !has_judged || !is_next_soon {
+            self.measure(state, is_next_soon);
+        }
+    }
+
+    /// Measures the quality of the worst case that was sampled last, a part of it if `is_part`.
+    fn measure(&mut self, state: &ClientState, is_part: bool) {
+        let Some(mut measured) = self.measured.take() else { return };
+        while !measured.step(state.tree, state.resident()) {
+            if is_part {
+                self.measured = Some(measured);
+                return;
+            }
+        }
+        let (alpha, seconds) = (measured.alpha, measured.seconds);
+        let quality;
+        (quality, self.cut) = measured.finish();
+        self.session.add_quality(quality, seconds);
+        self.ascent.update(alpha, quality, seconds);
+    }
+
+    /// Bytes of its cuts.
+    pub(super) fn heap_bytes(&self) -> usize {
+        self.cut.heap_bytes() + self.pool.heap_bytes()
     }
 
     /// What became of it.
@@ -194,28 +251,15 @@ impl Alpha {
             constraint: self.ascent.constraint(),
         }
     }
-
-    /// Quality of what is resident in the region with the largest deficit; `None` if nothing is in any.
-    fn worst_quality(&mut self, tree: &LodTree, resident: &Coverage, sampled: &Sampled) -> Option<f64> {
-        let mut largest: Option<(f64, f64)> = None;
-        for (_, view, region) in sampled.worst {
-            union_cut(&mut self.cut, tree, view, *region, sampled.cut);
-            let quality = evaluate(tree, &self.cut, resident, |_| {});
-            let deficit = (quality.weight - quality.benefit) * self.cut.scale;
-            if let Some(mean) = quality.mean()
-                && largest.is_none_or(|(most, _)| deficit > most)
-            {
-                largest = Some((deficit, mean));
-            }
-        }
-        largest.map(|(_, mean)| mean)
-    }
 }
 
 impl Means {
-    fn add(&mut self, alpha: f64, quality: Option<f64>, seconds: f64) {
+    fn add_alpha(&mut self, alpha: f64, seconds: f64) {
         self.seconds += seconds;
         self.alpha += seconds * alpha;
+    }
+
+    fn add_quality(&mut self, quality: Option<f64>, seconds: f64) {
         if let Some(quality) = quality {
             self.quality_seconds += seconds;
             self.quality += seconds * quality;

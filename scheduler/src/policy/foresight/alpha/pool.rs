@@ -29,8 +29,10 @@ const JUDGED_MAX: usize = 4;
 const PENDING_MAX: usize = 8;
 /// A view that comes later than this after the time that was predicted, seconds, does not judge it.
 const LATE_S_MAX: f64 = 0.25;
+/// Cuts that one observation of many makes.
+const CUTS_AT_ONCE: usize = 2;
 /// Least opening angle of the cuts: where a view's weight lies need be known roughly only.
-const OPENING_MIN: f64 = 0.5;
+const OPENING_MIN: f64 = 0.8;
 
 /// A prediction that waits for its time.
 struct Pending {
@@ -45,20 +47,39 @@ struct Pending {
     attenuation: f64,
 }
 
+/// What was foreseen for the time that is being judged.
+struct Foreseen {
+    /// How long before, seconds.
+    offset: f64,
+    attenuation: f64,
+    cut: CutSettings,
+    /// Weights and views: the paths', then the worst case's.
+    views: Vec<(f64, View, Region)>,
+    /// How many of them are the paths'.
+    paths: usize,
+    /// Cuts made so far.
+    made: usize,
+}
+
 /// The pool's weight and what it is learnt from.
 pub(super) struct Pool {
     alpha: f64,
     judged: u32,
     pending: VecDeque<Pending>,
-    seen: Cut,
-    /// Cuts of one judgement: the paths', then the worst case's.
+    /// The judgement under way, what was then seen with the cameras' shares, and the cuts of what was foreseen.
+    foreseen: Option<Foreseen>,
+    seen: Vec<(f64, Cut)>,
     cuts: Vec<(f64, Cut)>,
 }
 
 impl Pool {
     pub(super) fn new(alpha: f64) -> Pool {
         let alpha = alpha.clamp(1.0 - ALPHA_MAX, ALPHA_MAX);
-        Pool { alpha, judged: 0, pending: VecDeque::new(), seen: Cut::default(), cuts: Vec::new() }
+        Pool { alpha, judged: 0, pending: VecDeque::new(), foreseen: None, seen: Vec::new(), cuts: Vec::new() }
+    }
+
+    pub(super) fn heap_bytes(&self) -> usize {
+        self.seen.iter().chain(&self.cuts).map(|(_, cut)| cut.heap_bytes()).sum()
     }
 
     pub(super) fn alpha(&self) -> f64 {
@@ -91,57 +112,78 @@ impl Pool {
         });
     }
 
-    /// Judges what was predicted for now by the true views, of which each counts by its share.
-    pub(super) fn judge(&mut self, tree: &LodTree, cameras: &[(f64, View)], now: Time) {
-        let mut pending = core::mem::take(&mut self.pending);
-        for prediction in &mut pending {
-            while let Some(&offset) = prediction.offsets.get(prediction.next) {
-                let due = prediction.at + Time::from_secs(offset);
-                if due > now {
-                    break;
-                }
-                let which = prediction.next;
-                prediction.next += 1;
-                if now.since(due).secs() > LATE_S_MAX {
-                    continue;
-                }
-                if let Some(explained) = self.explained(tree, cameras, prediction, which) {
-                    self.judged = self.judged.saturating_add(1);
-                    let kept = KEPT.min(1.0 - 1.0 / (f64::from(self.judged) + 1.0));
-                    let step = (1.0 - kept) * libm::exp(-prediction.attenuation * offset);
-                    self.alpha = (self.alpha + step * (explained - self.alpha)).clamp(1.0 - ALPHA_MAX, ALPHA_MAX);
-                }
+    /// Judges what was predicted for now by the true views, of which each counts by its share: all of it at once, or a part
+    /// of one judgement if the next call `is_soon`. Whether there was anything to do.
+    pub(super) fn judge(&mut self, tree: &LodTree, cameras: &[(f64, View)], now: Time, is_soon: bool) -> bool {
+        let mut has_worked = false;
+        while self.foreseen.is_some() || self.begin(tree, cameras, now) {
+            self.step(tree);
+            has_worked = true;
+            if is_soon {
+                break;
             }
         }
-        pending.retain(|p| p.next < p.offsets.len());
-        self.pending = pending;
+        has_worked
     }
 
-    /// r: the share of what is seen that the predicted paths explain, against the worst case; `None` if neither foresaw
-    /// any of it.
-    fn explained(
-        &mut self,
-        tree: &LodTree,
-        cameras: &[(f64, View)],
-        prediction: &Pending,
-        which: usize,
-    ) -> Option<f64> {
-        let paths = prediction.paths.iter().filter_map(|p| Some((p.weight, *p.views.get(which)?, Region::Frustum)));
-        let predicted = paths.clone().count();
-        let mut used = 0;
-        for (weight, from, region) in paths.chain(prediction.worst.iter().copied()) {
-            if used == self.cuts.len() {
-                self.cuts.push((0.0, Cut::default()));
+    /// Begins the first judgement that is due; false if none is.
+    fn begin(&mut self, tree: &LodTree, cameras: &[(f64, View)], now: Time) -> bool {
+        let mut begun = None;
+        for prediction in &mut self.pending {
+            while begun.is_none()
+                && let Some(&offset) = prediction.offsets.get(prediction.next)
+                && prediction.at + Time::from_secs(offset) <= now
+            {
+                let which = prediction.next;
+                prediction.next += 1;
+                if now.since(prediction.at + Time::from_secs(offset)).secs() <= LATE_S_MAX {
+                    begun = Some(prediction.foreseen(which, offset));
+                }
             }
-            self.cuts[used].0 = weight;
-            self.cuts[used].1.make(tree, &from, region, &prediction.cut);
-            used += 1;
         }
-        let (predicted, worst) = self.cuts[..used].split_at(predicted);
+        self.pending.retain(|p| p.next < p.offsets.len());
+        self.foreseen = begun;
+        let Some(foreseen) = &self.foreseen else { return false };
+        self.seen.resize_with(cameras.len(), Default::default);
+        for (seen, (share, view)) in self.seen.iter_mut().zip(cameras) {
+            seen.0 = *share;
+            seen.1.make(tree, view, Region::Frustum, &foreseen.cut);
+        }
+        true
+    }
+
+    /// Makes the next cuts of what was foreseen, or after the last of them learns from it.
+    fn step(&mut self, tree: &LodTree) {
+        let Some(foreseen) = &mut self.foreseen else { return };
+        let (all, made) = (foreseen.views.len(), foreseen.made);
+        if made < all {
+            foreseen.made = (made + CUTS_AT_ONCE).min(all);
+            self.cuts.resize_with(self.cuts.len().max(all), Default::default);
+            for ((weight, view, region), cut) in foreseen.views.iter().zip(&mut self.cuts).skip(made).take(CUTS_AT_ONCE)
+            {
+                cut.0 = *weight;
+                cut.1.make(tree, view, *region, &foreseen.cut);
+            }
+            return;
+        }
+        let discount = libm::exp(-foreseen.attenuation * foreseen.offset);
+        let (paths, all) = (foreseen.paths, foreseen.views.len());
+        self.foreseen = None;
+        if let Some(explained) = self.explained(tree, paths, all) {
+            self.judged = self.judged.saturating_add(1);
+            let kept = KEPT.min(1.0 - 1.0 / (f64::from(self.judged) + 1.0));
+            let step = (1.0 - kept) * discount;
+            self.alpha = (self.alpha + step * (explained - self.alpha)).clamp(1.0 - ALPHA_MAX, ALPHA_MAX);
+        }
+    }
+
+    /// r: the share of what is seen that the predicted paths, the first of `all` cuts, explain, against the worst case;
+    /// `None` if neither foresaw any of it.
+    fn explained(&self, tree: &LodTree, paths: usize, all: usize) -> Option<f64> {
+        let (predicted, worst) = self.cuts[..all].split_at(paths);
         let (mut by_paths, mut by_either) = (0.0, 0.0);
-        for (share, view) in cameras {
-            self.seen.make(tree, view, Region::Frustum, &prediction.cut);
-            for patch in &self.seen.patches {
+        for (share, seen) in &self.seen {
+            for patch in &seen.patches {
                 let density =
                     |cuts: &[(f64, Cut)]| cuts.iter().map(|(w, cut)| w * weight_at(tree, cut, patch.node)).sum();
                 let (p, u): (f64, f64) = (density(predicted), density(worst));
@@ -153,6 +195,17 @@ impl Pool {
             }
         }
         (by_either > 0.0).then(|| (by_paths / by_either).clamp(0.0, 1.0))
+    }
+}
+
+impl Pending {
+    /// What is to be judged of it, at the offset numbered `which`.
+    fn foreseen(&self, which: usize, offset: f64) -> Foreseen {
+        let paths = self.paths.iter().filter_map(|p| Some((p.weight, *p.views.get(which)?, Region::Frustum)));
+        let mut views: Vec<_> = paths.collect();
+        let paths = views.len();
+        views.extend_from_slice(&self.worst);
+        Foreseen { offset, attenuation: self.attenuation, cut: self.cut, views, paths, made: 0 }
     }
 }
 
