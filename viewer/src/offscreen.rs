@@ -149,7 +149,12 @@ impl<'a> Offscreen<'a> {
             let (picture, counts) = self.renderer.picture(view, &list)?;
             return Ok((picture, counts, EnvironmentCounts::default()));
         };
-        let around = Surroundings { tree: &self.world.tree, resident: &usable, choose: settings };
+        let around = Surroundings {
+            tree: &self.world.tree,
+            root_sample: self.world.root_sample,
+            resident: &usable,
+            choose: settings,
+        };
         let list = environment.prepare(&mut self.renderer, around, view, &list, share)?;
         let (picture, counts) = self.renderer.picture(view, &list)?;
         Ok((picture, counts, environment.counts().clone()))

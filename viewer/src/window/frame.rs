@@ -327,7 +327,8 @@ impl<'a> Flyer<'a> {
         let bytes = self.settings.memory.saturating_sub(used);
         let share = Share { bytes, frames: 1, waits: false };
         let choose = ChooseSettings::default();
-        let around = Surroundings { tree, resident: self.stage.drawable(), choose: &choose };
+        let root_sample = self.settings.world.root_sample;
+        let around = Surroundings { tree, root_sample, resident: self.stage.drawable(), choose: &choose };
         let (drawn, maps) = screen.far(settings, around, &self.view, &self.list, share)?;
         let bytes = maps.as_ref().map_or(0, |maps| maps.bytes);
         self.outcome.memory_max = self.outcome.memory_max.max(used + bytes);

@@ -79,14 +79,14 @@ fn boards(gpu: &Gpu, offset: DVec3) -> Place {
 impl Place {
     fn list(&self, view: &View) -> DrawList {
         let mut list = DrawList::default();
-        choose_in(&self.tree, &self.resident, view, &ChooseSettings::default(), &mut list);
+        choose_in(&self.tree, None, &self.resident, view, &ChooseSettings::default(), &mut list);
         list
     }
 
     fn prepare(&mut self, maps: &mut Environment, view: &View, share: Share) -> (DrawList, EnvironmentCounts) {
         let list = self.list(view);
         let choose = ChooseSettings::default();
-        let around = Surroundings { tree: &self.tree, resident: &self.resident, choose: &choose };
+        let around = Surroundings { tree: &self.tree, root_sample: None, resident: &self.resident, choose: &choose };
         let drawn = maps.prepare(&mut self.renderer, around, view, &list, share).expect("a list");
         (drawn, maps.counts().clone())
     }
@@ -238,7 +238,7 @@ fn what_cannot_be_made_is_refused_in_words_and_drawn_by_itself() {
     let mut tinted = place.list(&view);
     tinted.items[0].false_colour = Some([1, 2, 3]);
     let (choose, mut any) = (ChooseSettings::default(), maps(4.0));
-    let around = Surroundings { tree: &place.tree, resident: &place.resident, choose: &choose };
+    let around = Surroundings { tree: &place.tree, root_sample: None, resident: &place.resident, choose: &choose };
     let drawn = any.prepare(&mut place.renderer, around, &view, &tinted, AMPLE).expect("a list");
     assert!(drawn == tinted && any.counts().refused.is_some());
     // Nothing is there: maps of nothing.

@@ -135,6 +135,8 @@ pub struct Environment {
 pub struct Surroundings<'a> {
     /// The world's.
     pub tree: &'a LodTree,
+    /// Its [`foresight_index::world::World::root_sample`].
+    pub root_sample: Option<f64>,
     /// What the renderer has.
     pub resident: &'a BTreeSet<RepId>,
     /// What is drawn of it; the bias is the maps' own.
@@ -418,7 +420,7 @@ impl Environment {
         let view = face_view(vertex, face, &self.settings, maker.side);
         let settings = ChooseSettings { bias: maker.bias, ..*around.choose };
         let mut list = DrawList::default();
-        choose_in(around.tree, &self.residents, &view, &settings, &mut list);
+        choose_in(around.tree, around.root_sample, &self.residents, &view, &settings, &mut list);
         let cube = cube(vertex, &self.settings);
         list.items.retain(|item| {
             let bounds = reach(around.tree, item.rep);

@@ -52,12 +52,12 @@ proptest! {
         let cell = Cell::around(position, side).expect("a cell");
         let view = View { position, orientation: DQuat::from_rotation_y(yaw), fov_y: 1.5, viewport: [64, 64] };
         let mut list = DrawList::default();
-        choose_in(&tree, &now, &view, &ChooseSettings::default(), &mut list);
+        choose_in(&tree, None, &now, &view, &ChooseSettings::default(), &mut list);
         let maps = cell.vertices().map(|vertex| {
             let faces = (0..6).flat_map(|face| {
                 let mut list = DrawList::default();
                 let view = face_view(vertex, face, &settings, 64);
-                choose_in(&tree, &then, &view, &ChooseSettings::default(), &mut list);
+                choose_in(&tree, None, &then, &view, &ChooseSettings::default(), &mut list);
                 list.items
             });
             (vertex, faces.collect::<Vec<Item>>())
