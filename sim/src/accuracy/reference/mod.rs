@@ -47,7 +47,7 @@ pub fn reference(benefit: &AddedBenefit) -> Result<Reference, IntegralError> {
     until(benefit, |_, _| false)
 }
 
-/// As [`reference`], but only until value ± error lies within `bounds`: then that they hold is known. Where it never
+/// As [`reference()`], but only until value ± error lies within `bounds`: then that they hold is known. Where it never
 /// does, as well as can be.
 ///
 /// # Errors
