@@ -71,12 +71,24 @@ pub(crate) fn whole_picture(
         bind_group_layouts: layouts,
         immediate_size: 0,
     });
+    over_all(device, label, Some(&layout), &module, "fragment", targets)
+}
+
+/// As [`whole_picture`], of a module; with the layout that its code implies if none is given.
+pub(crate) fn over_all(
+    device: &wgpu::Device,
+    label: &str,
+    layout: Option<&wgpu::PipelineLayout>,
+    module: &wgpu::ShaderModule,
+    fragment: &str,
+    targets: &[Option<wgpu::ColorTargetState>],
+) -> wgpu::RenderPipeline {
     let options = wgpu::PipelineCompilationOptions::default();
     device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
         label: Some(label),
-        layout: Some(&layout),
+        layout,
         vertex: wgpu::VertexState {
-            module: &module,
+            module,
             entry_point: Some("vertex"),
             compilation_options: options.clone(),
             buffers: &[],
@@ -85,8 +97,8 @@ pub(crate) fn whole_picture(
         depth_stencil: None,
         multisample: wgpu::MultisampleState::default(),
         fragment: Some(wgpu::FragmentState {
-            module: &module,
-            entry_point: Some("fragment"),
+            module,
+            entry_point: Some(fragment),
             compilation_options: options,
             targets,
         }),

@@ -3,7 +3,7 @@
 
 use super::super::device::GpuError;
 use super::super::item::{Lattice, Perspective};
-use super::super::pipelines::Pipelines;
+use super::super::pipelines::{Pipelines, over_all};
 use super::super::relative::narrow;
 use super::super::renderer::{FacePass, Renderer};
 use super::super::splats::{Splats, Tiles};
@@ -191,7 +191,6 @@ impl Maker {
                 cache: None,
             })
         };
-        let options = wgpu::PipelineCompilationOptions::default();
         let maker = Maker {
             side,
             bias,
@@ -200,27 +199,7 @@ impl Maker {
             colours_view: whole(&colours),
             codes_view: whole(&codes),
             codes,
-            encode: device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-                label: Some("face codes"),
-                layout: None,
-                vertex: wgpu::VertexState {
-                    module: &module,
-                    entry_point: Some("vertex"),
-                    compilation_options: options.clone(),
-                    buffers: &[],
-                },
-                primitive: wgpu::PrimitiveState::default(),
-                depth_stencil: None,
-                multisample: wgpu::MultisampleState::default(),
-                fragment: Some(wgpu::FragmentState {
-                    module: &module,
-                    entry_point: Some("encode"),
-                    compilation_options: options,
-                    targets: &[Some(CODES.into())],
-                }),
-                multiview_mask: None,
-                cache: None,
-            }),
+            encode: over_all(device, "face codes", None, &module, "encode", &[Some(CODES.into())]),
             count: compute("count"),
             fill: compute("fill"),
             blocks: buffer(
