@@ -186,6 +186,8 @@ impl Session<'_> {
             for rep in over.into_iter().rev() {
                 if matches!(self.scheduler.state().status(rep), Status::InFlight | Status::Arrived) {
                     self.dropped(rep, now, answers);
+                    // It may arrive all the same before the client has let go of it.
+                    self.let_go.insert(rep, now, Vec::new());
                     self.give_up_what_needs(rep, now, answers);
                 }
             }

@@ -57,8 +57,10 @@ impl LetGo {
         }
     }
 
-    pub(super) fn clear(&mut self) {
-        *self = LetGo::default();
+    /// Keeps what was let go, for its word may have been lost with the connection; not what was to be freed, for the client
+    /// has said anew what it holds.
+    pub(super) fn forget_doomed(&mut self) {
+        self.reps.values_mut().for_each(|entry| entry.doomed = Vec::new());
     }
 
     pub(super) fn heap_bytes(&self) -> usize {

@@ -23,7 +23,7 @@ impl Session<'_> {
             self.change_policy(policy, &mut answers);
         }
         self.mode = hello.mode;
-        self.let_go.clear();
+        self.let_go.forget_doomed();
         self.say_anew();
         answers.push_first(self.welcome(true));
 
