@@ -398,6 +398,7 @@ impl World {
             buffer.extend_from_slice(&tree.error(rep).to_bits().to_le_bytes());
             buffer.extend_from_slice(&tree.prerequisite(rep).map_or(u32::MAX, |r| r.0).to_le_bytes());
             buffer.push(tree.direction(rep).unwrap_or(u8::MAX));
+            buffer.extend_from_slice(tree.shown(rep).map_or(&[][..], |shown| shown));
             buffer.extend_from_slice(&((prefix.len() + tail.len()) as u64).to_le_bytes());
             buffer.extend_from_slice(prefix.as_bytes());
             buffer.extend_from_slice(tail.as_bytes());

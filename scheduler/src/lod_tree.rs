@@ -4,7 +4,7 @@
 //! everything beneath the node. The arrays are flat and in preorder: the subtree of a node is one interval of ids,
 //! so whatever is kept per node can be summed, searched and refreshed by slices.
 
-use crate::benefit::element::ELEMENTS;
+use crate::benefit::element::{ELEMENTS, Shown};
 use crate::view::POSITION_MAX;
 use glam::{DVec3, Vec3};
 
@@ -102,7 +102,8 @@ struct Rep {
 }
 
 /// A world as the scheduler sees it. At most 2³²−2 nodes and as many representations; 88 to 97 bytes for a node with
-/// one representation. With directions 56 bytes a node more, and 32 a representation where a node has nine.
+/// one representation. With directions 56 bytes a node more, and 32 a representation where a node has nine; 14 more where the
+/// world tells what its orthoviews hide.
 #[derive(Clone, Debug, Default)]
 pub struct LodTree {
     /// In preorder, and one more whose `first_rep` ends the last.
@@ -111,6 +112,8 @@ pub struct LodTree {
     reps: Vec<Rep>,
     rep_prerequisite: Vec<u32>,
     rep_direction: Vec<u8>,
+    /// Empty unless some orthoview told what it shows.
+    rep_shown: Vec<Shown>,
     errors_fall: bool,
     /// Per node, m² by element, summed over the leaves beneath; empty unless the tree has directions and some leaf told
     /// its surface.
@@ -271,6 +274,8 @@ pub struct LodTreeBuilder {
     shares: Option<(u32, [f32; ELEMENTS])>,
     /// Leaves with μ, ascending.
     surfaces: Vec<(u32, [f32; ELEMENTS])>,
+    /// Orthoviews that told what they show, ascending.
+    shown: Vec<(u32, Shown)>,
     any_importance: bool,
     any_prerequisite: bool,
     any_direction: bool,
@@ -424,10 +429,15 @@ impl LodTreeBuilder {
         if !self.any_prerequisite {
             self.tree.rep_prerequisite = Vec::new();
         }
-        if !self.any_direction {
+        if self.any_direction {
+            if !self.surfaces.is_empty() {
+                self.tree.surface = self.tree.sum_surfaces(&self.surfaces);
+            }
+            if !self.shown.is_empty() {
+                self.tree.rep_shown = self.tree.spread_shown(&self.shown);
+            }
+        } else {
             self.tree.rep_direction = Vec::new();
-        } else if !self.surfaces.is_empty() {
-            self.tree.surface = self.tree.sum_surfaces(&self.surfaces);
         }
         Ok(self.tree)
     }
@@ -651,6 +661,7 @@ impl LodTree {
             + self.representations() * size_of::<Rep>()
             + self.rep_prerequisite.len() * 4
             + self.rep_direction.len()
+            + self.rep_shown.len() * ELEMENTS
             + self.surface.len() * 4 * ELEMENTS
     }
 }

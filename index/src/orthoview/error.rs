@@ -1,18 +1,18 @@
-//! How far an orthoview is off: by the side of its pixels, and by what stands behind something else in it.
+//! How far an orthoview is off, by element: by the side of its pixels, and by what stands behind something else in it.
 //!
 //! A cell's surface is sampled where any of its images sees it. An image from u claims to show what faces it by more than
 //! [`SHOWN_MIN`] (the scheduler's elements), but of a street seen from the side it shows the first façades alone. Where the
 //! nearest sample of the image that faces alike lies Δ from one of the surface there is a hole of at least 2Δ, and the error there is
-//! e = [`SAMPLE_ERROR`]·√(side² + 4Δ²). One number has to stand for all of them: the error g whose accuracy 1/(1 + (g/E)²) is
-//! the mean of the samples' 1/(1 + (e/E)²), by area, where a pixel of the image is one pixel on the screen, so that
-//! E = e₀·side.
+//! e = [`SAMPLE_ERROR`]·√(side² + 4Δ²). One number has to stand for all samples of an element: the error g whose accuracy
+//! 1/(1 + (g/E)²) is the mean of the samples' 1/(1 + (e/E)²), by area, where a pixel of the image is one pixel on the screen, so that
+//! E = e₀·side. It is kept as a factor of [`SAMPLE_ERROR`]·side, stretched by how oblique the element is ([`Shown`]).
 //!
-//! Where nothing hides anything g is [`SAMPLE_ERROR`]·side.
+//! By element, because roofs hide nothing and are much of a city: one number for all promised façades that nobody saw.
 
 use super::image::{Frame, Lattice, Orthoview};
 use super::{Direction, SAMPLE_ERROR};
 use foresight_scheduler::benefit::accuracy::HALF_ACCURACY_PX;
-use foresight_scheduler::benefit::element::{self, ELEMENTS, SHOWN_MIN};
+use foresight_scheduler::benefit::element::{self, ELEMENTS, HIDDEN, SHOWN_MIN, Shown};
 use glam::{DVec2, DVec3, I64Vec2};
 use rayon::prelude::*;
 
@@ -33,8 +33,8 @@ struct Looked<'a> {
     image: &'a Orthoview,
     frame: Frame,
     towards_eye: DVec3,
-    /// Elements that it claims to show.
-    claims: [bool; ELEMENTS],
+    /// Cosine of each element's normal with the direction; it claims to show what is above [`SHOWN_MIN`].
+    cosines: [f64; ELEMENTS],
     /// Side of a pixel in those of the lattice, and in metres.
     scale: f64,
     side: f64,
@@ -44,9 +44,9 @@ impl<'a> Looked<'a> {
     fn new(direction: Direction, image: &'a Orthoview, origin: DVec3, pitch: f64) -> Looked<'a> {
         let lattice = Lattice { direction, origin, pitch };
         let towards_eye = direction.towards_eye();
-        let claims = element::normals().map(|normal| normal.dot(towards_eye) > SHOWN_MIN);
+        let cosines = element::normals().map(|normal| normal.dot(towards_eye));
         let scale = (1u64 << image.level) as f64;
-        Looked { image, frame: lattice.frame(), towards_eye, claims, scale, side: pitch * scale }
+        Looked { image, frame: lattice.frame(), towards_eye, cosines, scale, side: pitch * scale }
     }
 
     /// Where the middle of a pixel lies, and its normal; `None` if it is empty.
@@ -86,29 +86,33 @@ impl<'a> Looked<'a> {
     }
 }
 
-/// Σ area, and Σ area·accuracy, by image.
-type Sums = Vec<[f64; 2]>;
+/// Σ area, and Σ area·accuracy, by image and element.
+type Sums = Vec<[[f64; 2]; ELEMENTS]>;
 
-/// The error of each of a cell's images, metres, at least [`SAMPLE_ERROR`] sides of its pixels; the images' lattices have their
-/// coordinates from `origin` in leaf pixels of `pitch` metres.
-pub fn errors(images: &[(Direction, &Orthoview)], origin: DVec3, pitch: f64) -> Vec<f64> {
+/// How well each of a cell's images shows each element, beside [`SAMPLE_ERROR`] sides of its pixels; the images' lattices have
+/// their coordinates from `origin` in leaf pixels of `pitch` metres. An element of which nothing is seen hides nothing.
+pub fn shown(images: &[(Direction, &Orthoview)], origin: DVec3, pitch: f64) -> Vec<Shown> {
     let looked: Vec<Looked<'_>> = images.iter().map(|&(d, image)| Looked::new(d, image, origin, pitch)).collect();
     // Collected in order: sums of floating point do not depend on the threads.
     let of_each: Vec<Sums> = looked.par_iter().map(|seen| sums(seen, &looked)).collect();
-    let mut errors = Vec::with_capacity(looked.len());
-    for (at, own) in looked.iter().enumerate() {
-        let [area, accurate] = of_each.iter().fold([0.0; 2], |[a, b], sums| [a + sums[at][0], b + sums[at][1]]);
-        let mean = accurate / area;
-        let error = HALF_ACCURACY_PX * own.side * (1.0 / mean - 1.0).max(0.0).sqrt();
-        let least = SAMPLE_ERROR * own.side;
-        errors.push(if error.is_finite() { error.max(least) } else { least });
-    }
-    errors
+    let of = |at: usize, own: &Looked<'_>, s: usize| {
+        if own.cosines[s] <= SHOWN_MIN {
+            return HIDDEN;
+        }
+        let [area, accurate] = of_each.iter().fold([0.0; 2], |[a, b], sums| [a + sums[at][s][0], b + sums[at][s][1]]);
+        let factor = (1.0 / OWN) * (area / accurate - 1.0).max(0.0).sqrt();
+        let factor = if factor.is_finite() { factor.max(1.0) } else { 1.0 };
+        element::shown_code(factor / own.cosines[s])
+    };
+    looked.iter().enumerate().map(|(at, own)| core::array::from_fn(|s| of(at, own, s))).collect()
 }
+
+/// [`SAMPLE_ERROR`]·side in E.
+const OWN: f64 = SAMPLE_ERROR / HALF_ACCURACY_PX;
 
 /// What the samples of one image say of all.
 fn sums(seen: &Looked<'_>, all: &[Looked<'_>]) -> Sums {
-    let mut sums = vec![[0.0; 2]; all.len()];
+    let mut sums = vec![[[0.0; 2]; ELEMENTS]; all.len()];
     let rect = &seen.image.rect;
     let mut step = 1;
     while rect.area() > SAMPLES * step * step {
@@ -135,11 +139,11 @@ fn sums(seen: &Looked<'_>, all: &[Looked<'_>]) -> Sums {
             // Each image that sees a place brings samples of it; together they count once.
             let area = seen.side * seen.side / (oblique * f64::max(seen_by, 1.0));
             for ((sum, &distance), other) in sums.iter_mut().zip(&distances).zip(all) {
-                if other.claims[element] {
-                    let own = SAMPLE_ERROR / HALF_ACCURACY_PX;
-                    let off = own * 2.0 * distance / other.side;
+                if other.cosines[element] > SHOWN_MIN {
+                    let off = OWN * 2.0 * distance / other.side;
+                    let sum = &mut sum[element];
                     sum[0] += area;
-                    sum[1] += area / (1.0 + own * own + off * off);
+                    sum[1] += area / (1.0 + OWN * OWN + off * off);
                 }
             }
         }
@@ -183,8 +187,9 @@ mod tests {
     #[test]
     fn what_hides_nothing_is_off_by_its_pixels() {
         let above = floor();
-        let found = errors(&[(direction([0, 0, 1]), &above)], ORIGIN, PITCH);
-        assert!((found[0] - SAMPLE_ERROR * PITCH).abs() < 1e-9, "{found:?}");
+        let top = direction([0, 0, 1]);
+        let found = shown(&[(top, &above)], ORIGIN, PITCH);
+        assert_eq!(found, [element::unhidden(Some(top.code()))]);
     }
 
     /// Two walls across x, at 4 m and at 24 m, both facing −x. From −x only the first is seen. A view from the corner above
@@ -199,23 +204,26 @@ mod tests {
             let hit = walls.into_iter().find(|t| (0.0..low).contains(&(from - out * *t).z));
             hit.map(|depth| (depth, DVec3::NEG_X))
         });
-        let images = [(direction([-1, 0, 0]), &side), (direction([-1, 0, 1]), &corner)];
-        let [first, second] = errors(&images, ORIGIN, PITCH)[..] else { panic!("two") };
-        assert!((second - SAMPLE_ERROR * PITCH).abs() < 1e-9, "{second}");
-        // Half of the surface is 20 m behind the other half.
-        let limit = HALF_ACCURACY_PX * PITCH;
-        let accuracy = |e: f64| 1.0 / (1.0 + (e / limit) * (e / limit));
-        let mean = 0.5 * (accuracy(SAMPLE_ERROR * PITCH) + accuracy(SAMPLE_ERROR * libm::hypot(PITCH, 40.0)));
-        assert!((accuracy(first) - mean).abs() < 0.03, "{first}: {} {mean}", accuracy(first));
+        let directions = [direction([-1, 0, 0]), direction([-1, 0, 1])];
+        let [first, second] = shown(&[(directions[0], &side), (directions[1], &corner)], ORIGIN, PITCH)[..] else {
+            panic!("two")
+        };
+        assert_eq!(second, element::unhidden(Some(directions[1].code())));
+        // Half of the surface is 20 m behind the other half; what faces elsewhere is not there, and so is not hidden.
+        let accuracy = |factor: f64| 1.0 / (1.0 + OWN * OWN * factor * factor);
+        let mean = 0.5 * (accuracy(1.0) + accuracy(libm::hypot(PITCH, 40.0) / PITCH));
+        let factor = libm::exp2(f64::from(first[0]) / 16.0);
+        assert!((accuracy(factor) - mean).abs() < 0.03, "{factor}: {} {mean}", accuracy(factor));
+        assert_eq!(first[1..], element::unhidden(Some(directions[0].code()))[1..]);
     }
 
     #[test]
     fn images_of_nothing_have_the_error_of_their_pixels() {
         let empty = drawn([1, 0, 0], |_| None);
         let above = floor();
-        let images = [(direction([1, 0, 0]), &empty), (direction([0, 0, 1]), &above)];
-        let found = errors(&images, ORIGIN, PITCH);
-        assert!(found.iter().all(|error| (error - SAMPLE_ERROR * PITCH).abs() < 1e-9), "{found:?}");
-        assert!(errors(&[], ORIGIN, PITCH).is_empty());
+        let directions = [direction([1, 0, 0]), direction([0, 0, 1])];
+        let found = shown(&[(directions[0], &empty), (directions[1], &above)], ORIGIN, PITCH);
+        assert_eq!(found, directions.map(|direction| element::unhidden(Some(direction.code()))));
+        assert!(shown(&[], ORIGIN, PITCH).is_empty());
     }
 }

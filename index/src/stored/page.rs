@@ -10,8 +10,9 @@
 //!   of a page: hash (16 bytes), bytes (u32), summary
 //!   else:      number of representations (u8), number of children (u8), for a leaf its bounds (6 f64), its ground (f64) and the
 //!              shares of its surface (u16 each, in 65535ths), the representations, the children
-//! representation: kind (u8: a direction's code, or 32 + level of detail), wire bytes, decoded bytes (u32 each), error (f32,
-//!   metres), hash (16 bytes)
+//! representation: kind (u8: a direction's code, or 32 + level of detail; bit 7 if it tells what it shows), wire bytes, decoded
+//!   bytes (u32 each), error (f32, metres), hash (16 bytes), what it shows of each element of a surface
+//!   ([`Shown`], u8 each; not in version 1)
 //! summary: leaves, nodes, orthoviews, their bytes, geometries, their bytes, decoded bytes (u64 each), bounds (6 f64)
 //! ```
 //!
@@ -20,11 +21,12 @@
 
 use crate::octree::{Cell, LEVELS_MAX, Octree};
 use crate::orthoview::Direction;
+use foresight_scheduler::benefit::element::{HIDDEN, Shown};
 use foresight_scheduler::lod_tree::Aabb;
 use glam::DVec3;
 
-/// Version that is read and written.
-pub const VERSION: u8 = 1;
+/// Version that is written. Version 1, which does not tell what orthoviews hide, is read too.
+pub const VERSION: u8 = 2;
 
 /// Most bytes of a page that is written. Larger ones, up to [`READ_MAX`], are read.
 pub const PAGE_MAX: usize = 32 << 10;
@@ -40,6 +42,8 @@ const LEAF: u8 = 1 << 6;
 const PAGE: u8 = 1 << 7;
 /// Least kind of a geometry.
 const GEOMETRY: u8 = 32;
+/// Bit of a representation that tells what it shows.
+const TELLS: u8 = 1 << 7;
 /// Most levels of detail of a leaf's geometry.
 pub const GEOMETRIES_MAX: u8 = 64;
 
@@ -75,6 +79,8 @@ pub struct Stored {
     pub error: f32,
     /// Of its bytes.
     pub hash: Hash,
+    /// How well an orthoview shows each element of a surface, if it tells.
+    pub shown: Option<Shown>,
 }
 
 /// What a leaf holds.
@@ -235,7 +241,9 @@ impl Node {
     /// Bytes that it takes in a page, with what lies beneath.
     pub fn size(&self) -> usize {
         let own = 3 + self.leaf.as_ref().map_or(0, |leaf| 7 * 8 + 2 * leaf.shares.len());
-        own + self.representations.len() * 29 + self.children.iter().map(Child::size).sum::<usize>()
+        let tell = |rep: &Stored| 29 + rep.shown.map_or(0, |shown| shown.len());
+        own + self.representations.iter().map(tell).sum::<usize>()
+            + self.children.iter().map(Child::size).sum::<usize>()
     }
 }
 
@@ -270,14 +278,18 @@ fn put(out: &mut Vec<u8>, node: &Node, octree: &Octree, elements: u8) {
         (0..usize::from(elements)).for_each(|e| out.extend(leaf.shares.get(e).unwrap_or(&0).to_le_bytes()));
     }
     for rep in &node.representations {
-        out.push(match rep.kind {
+        let kind = match rep.kind {
             Kind::Orthoview(direction) => direction.code(),
             Kind::Geometry(level) => GEOMETRY + level.min(GEOMETRIES_MAX - 1),
-        });
+        };
+        out.push(if rep.shown.is_some() { kind | TELLS } else { kind });
         out.extend(rep.wire_bytes.to_le_bytes());
         out.extend(rep.decoded_bytes.to_le_bytes());
         out.extend(rep.error.to_le_bytes());
         out.extend(rep.hash);
+        if let Some(shown) = &rep.shown {
+            (0..usize::from(elements)).for_each(|e| out.push(*shown.get(e).unwrap_or(&HIDDEN)));
+        }
     }
     for child in &node.children {
         match child {
@@ -315,8 +327,8 @@ pub fn parse(bytes: &[u8], octree: &Octree) -> Result<Node, PageError> {
         return Err(reader.fault(4, String::from_utf8_lossy(&magic).into_owned(), "\"FSNP\""));
     }
     let [version, elements, level, _] = reader.take::<4>("version, elements and level")?;
-    if version != VERSION {
-        return Err(reader.fault(4, format!("version {version}"), "version 1"));
+    if !(1..=VERSION).contains(&version) {
+        return Err(reader.fault(4, format!("version {version}"), "version 1 or 2"));
     }
     let mut place = [0; 3];
     for at in &mut place {
@@ -391,7 +403,7 @@ impl Reader<'_> {
         let leaf = if is_leaf { Some(self.leaf(elements)?) } else { None };
         let mut node = Node { cell, representations: Vec::new(), leaf, children: Vec::new() };
         for _ in 0..representations {
-            let rep = self.representation(is_leaf)?;
+            let rep = self.representation(is_leaf, elements)?;
             if node.representations.last().is_some_and(|last| last.kind >= rep.kind) {
                 return Err(self.fault(29, format!("{:?}", rep.kind), "representations in order, each once"));
             }
@@ -426,11 +438,12 @@ impl Reader<'_> {
         Ok(Leaf { bounds, ground, shares })
     }
 
-    fn representation(&mut self, of_leaf: bool) -> Result<Stored, PageError> {
+    fn representation(&mut self, of_leaf: bool, elements: u8) -> Result<Stored, PageError> {
         let [code] = self.take::<1>("a representation")?;
-        let kind = match code.checked_sub(GEOMETRY) {
-            Some(level) => Some(Kind::Geometry(level)).filter(|_| of_leaf && level < GEOMETRIES_MAX),
-            None => Direction::from_code(code).map(Kind::Orthoview),
+        let tells = code & TELLS != 0;
+        let kind = match (code & !TELLS).checked_sub(GEOMETRY) {
+            Some(level) => Some(Kind::Geometry(level)).filter(|_| of_leaf && !tells && level < GEOMETRIES_MAX),
+            None => Direction::from_code(code & !TELLS).map(Kind::Orthoview),
         };
         let kind = kind.ok_or_else(|| self.fault(1, code.to_string(), "a direction's code, or 32 to 95 at a leaf"))?;
         let wire_bytes = self.u32("bytes of a file")?;
@@ -442,7 +455,13 @@ impl Reader<'_> {
         if !(error.is_finite() && error >= 0.0) {
             return Err(self.fault(4, format!("an error of {error} m"), "a finite number ≥ 0"));
         }
-        Ok(Stored { kind, wire_bytes, decoded_bytes, error, hash: self.take("a hash")? })
+        let hash = self.take("a hash")?;
+        let mut told = Vec::new();
+        for _ in 0..if tells { elements } else { 0 } {
+            told.extend(self.take::<1>("what an orthoview shows")?);
+        }
+        // Other elements than this program's say nothing to it, as with surfaces.
+        Ok(Stored { kind, wire_bytes, decoded_bytes, error, hash, shown: told.try_into().ok() })
     }
 
     fn page(&mut self) -> Result<PageReference, PageError> {

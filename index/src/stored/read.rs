@@ -226,6 +226,9 @@ impl Builder<'_> {
                     Kind::Geometry(_) => None,
                 },
             })?;
+            if let Some(shown) = rep.shown {
+                self.tree.shown(shown)?;
+            }
             let (folder, name) = address::representation(node.cell, rep.kind, &rep.hash);
             let (folder, name) = (self.uris.intern(&folder), self.uris.intern(&name));
             self.uris.push(folder, name);

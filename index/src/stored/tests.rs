@@ -26,6 +26,7 @@ fn stored(cell: Cell, kind: Kind) -> Stored {
         decoded_bytes: 4 * (1 + seed as u32),
         error: 0.25 * (1u64 << cell.level) as f32,
         hash: hash(&seed.to_le_bytes()),
+        shown: matches!(kind, Kind::Orthoview(_)).then(|| core::array::from_fn(|s| (seed as usize + s) as u8)),
     }
 }
 

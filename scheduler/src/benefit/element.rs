@@ -3,7 +3,8 @@
 //!
 //! An element s stands for all of a leaf's surface whose outer normal is nearest to n_s: the six faces of a cube and its
 //! eight corners, at most 36.3° off. An orthoview taken from the unit direction u (from the node towards the eye) shows s
-//! if n_s·u > [`SHOWN_MIN`], at the error g_r / (n_s·u): a pixel of side g covers that much of an oblique surface.
+//! if n_s·u > [`SHOWN_MIN`], at the error g_r / (n_s·u): a pixel of side g covers that much of an oblique surface. What
+//! stands behind something else in it is off by more: where a world tells so, the error is g_r times a [`Shown`] of its own.
 //!
 //! A view weighs the elements of a node by its surface S_s ([`LodTree::surface`]) times how high the eye is above it,
 //! m_s = max(0, h_s − n_s·c + reach): c is the middle of the node's box from the eye, h_s = Σ |n_s|·half, so that what
@@ -57,6 +58,35 @@ static STRETCH: LazyLock<[[f32; ELEMENTS]; 27]> = LazyLock::new(|| {
     })
 });
 
+/// How much larger than g_r the error is with which a representation shows each element: code k stands for 2^(k/16), and
+/// [`HIDDEN`] for an element that it does not show.
+pub type Shown = [u8; ELEMENTS];
+
+/// The code of what is not shown.
+pub const HIDDEN: u8 = u8::MAX;
+
+/// Codes to a doubling.
+const CODES: f64 = 16.0;
+
+/// 2^(k/16); ∞ for [`HIDDEN`].
+static SCALES: LazyLock<[f32; 256]> = LazyLock::new(|| {
+    core::array::from_fn(|code| {
+        if code == usize::from(HIDDEN) { f32::INFINITY } else { libm::exp2(code as f64 / CODES) as f32 }
+    })
+});
+
+/// The code of a factor ≥ 1, rounded upwards; [`HIDDEN`] for what is beyond all others or no number.
+pub fn shown_code(factor: f64) -> u8 {
+    // What a conversion there and back has added is no reason to take the next.
+    let code = libm::ceil(CODES * libm::log2(factor.max(1.0)) - 1e-6);
+    if code < f64::from(HIDDEN) && !factor.is_nan() { code.max(0.0) as u8 } else { HIDDEN }
+}
+
+/// What an orthoview from a direction's code shows if nothing in it hides anything; `None` for a mesh, which shows all.
+pub fn unhidden(direction: Option<u8>) -> Shown {
+    direction.map_or([0; ELEMENTS], |code| STRETCH[usize::from(code)].map(|by| shown_code(f64::from(by))))
+}
+
 /// An error by element, metres; ∞ for what is not shown.
 pub type Errors = [f32; ELEMENTS];
 
@@ -89,6 +119,10 @@ pub fn towards_eye(code: u8) -> DVec3 {
 /// With which error a representation shows each element.
 pub fn errors(tree: &LodTree, rep: RepId) -> Errors {
     let error = tree.error(rep) as f32;
+    if let Some(shown) = tree.shown(rep) {
+        // No error at all times not shown would be no number.
+        return shown.map(|code| if code == HIDDEN { f32::INFINITY } else { error * SCALES[usize::from(code)] });
+    }
     match tree.direction(rep) {
         None => [error; ELEMENTS],
         Some(code) => STRETCH[usize::from(code)].map(|by| if by < f32::INFINITY { error * by } else { by }),
@@ -199,6 +233,20 @@ mod tests {
             NORMALS[nearest(n)].dot(n)
         });
         assert!(libm::acos(farthest.fold(1.0, f64::min)).to_degrees() < 36.3);
+    }
+
+    #[test]
+    fn codes_are_rounded_upwards_and_come_back() {
+        for code in 0..HIDDEN {
+            assert_eq!(shown_code(f64::from(SCALES[usize::from(code)])), code);
+        }
+        for factor in [1.0, 1.0001, 1.7, 3.0, 2047.3] {
+            let scale = f64::from(SCALES[usize::from(shown_code(factor))]);
+            assert!((factor * (1.0 - 1e-6)..=factor * 1.0443).contains(&scale), "{factor}: {scale}");
+        }
+        assert_eq!([0.0, -1.0, 1e9, f64::INFINITY, f64::NAN].map(shown_code), [0, 0, HIDDEN, HIDDEN, HIDDEN]);
+        assert_eq!(unhidden(None), [0; ELEMENTS]);
+        assert_eq!(unhidden(Some(14))[..6], [HIDDEN, HIDDEN, HIDDEN, HIDDEN, HIDDEN, 0]);
     }
 
     #[test]

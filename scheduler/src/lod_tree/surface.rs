@@ -1,7 +1,7 @@
-//! Surfaces by orientation, of leaves and summed upwards.
+//! Surfaces by orientation, of leaves and summed upwards, and how well orthoviews show them.
 
-use super::{LodTree, LodTreeBuilder, LodTreeError, NodeId};
-use crate::benefit::element::ELEMENTS;
+use super::{LodTree, LodTreeBuilder, LodTreeError, NO_DIRECTION, NodeId, RepId};
+use crate::benefit::element::{ELEMENTS, Shown, unhidden};
 
 impl LodTreeBuilder {
     /// How the surface of the node opened last is spread over orientations, μ by element
@@ -22,6 +22,20 @@ impl LodTreeBuilder {
         self.shares = Some((node, scaled.map(|share| share / sum)));
         Ok(())
     }
+
+    /// How well the orthoview added last shows each element, what stands behind something else counted. One that does not
+    /// tell hides nothing ([`unhidden`]).
+    pub fn shown(&mut self, shown: Shown) -> Result<(), LodTreeError> {
+        match self.tree.rep_direction.last() {
+            Some(&direction) if direction != NO_DIRECTION => {
+                let rep = self.tree.reps.len() as u32 - 1;
+                self.shown.pop_if(|(of, _)| *of == rep);
+                self.shown.push((rep, shown));
+                Ok(())
+            }
+            _ => Err(LodTreeError::Nesting("what an orthoview shows was told of none")),
+        }
+    }
 }
 
 impl LodTree {
@@ -38,6 +52,21 @@ impl LodTree {
             }
             None => faces_of_box(self.nodes[node.index()].area),
         }
+    }
+
+    /// How well a representation shows each element; `None` if the world does not tell, so that nothing hides anything.
+    pub fn shown(&self, rep: RepId) -> Option<&Shown> {
+        self.rep_shown.get(rep.index())
+    }
+
+    /// What each representation shows, from the orthoviews that tell, in ascending order.
+    pub(super) fn spread_shown(&self, told: &[(u32, Shown)]) -> Vec<Shown> {
+        let mut told = told.iter().peekable();
+        let of = |rep: u32| match told.next_if(|(of, _)| *of == rep) {
+            Some((_, shown)) => *shown,
+            None => unhidden(self.direction(RepId(rep))),
+        };
+        (0..self.representations() as u32).map(of).collect()
     }
 
     /// S_n by element from the leaves that tell theirs, in ascending order, and the boxes of the others.

@@ -9,8 +9,8 @@ use foresight_index::geometry::{GeometryError, GeometryLevel, levels};
 use foresight_index::octree::Cell;
 use foresight_index::orthoview::build::{LeafContent, Workshop};
 use foresight_index::orthoview::connectivity::{Thresholds, links};
-use foresight_index::orthoview::error::errors;
-use foresight_index::orthoview::{Direction, Lattice, Orthoview};
+use foresight_index::orthoview::error::shown;
+use foresight_index::orthoview::{Direction, Lattice, Orthoview, SAMPLE_ERROR};
 use foresight_index::stored::page::{Child, Hash, Kind, Leaf, Node, Stored, Summary, hash};
 use foresight_index::stored::publish::Workplace;
 use foresight_index::stored::{StoredError, address, checkpoint, packing};
@@ -117,6 +117,7 @@ impl<'a> Shop<'a> {
             decoded_bytes: u32::try_from(decoded).map_err(|_| too_large())?,
             error: error as f32,
             hash: content,
+            shown: None,
         };
         self.workplace.write(&(folder + &name), bytes)?;
         self.bytes += bytes.len() as u64;
@@ -206,11 +207,12 @@ impl Workshop for Shop<'_> {
                 Ok(file.map(|file| (direction, file)))
             })
             .collect::<Result<_, BuildError>>()?;
-        for ((direction, file), error) in
-            files.into_iter().zip(errors(images, origin, pitch)).filter_map(|(file, error)| Some((file?, error)))
+        let error = SAMPLE_ERROR * pitch * (1u64 << cell.level) as f64;
+        for ((direction, file), shown) in
+            files.into_iter().zip(shown(images, origin, pitch)).filter_map(|(file, shown)| Some((file?, shown)))
         {
             let stored = self.store(cell, Kind::Orthoview(direction), &file, uploaded_bytes(&file), error)?;
-            self.representations.push(stored);
+            self.representations.push(Stored { shown: Some(shown), ..stored });
         }
         Ok(())
     }

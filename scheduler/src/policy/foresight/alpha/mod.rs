@@ -42,7 +42,7 @@ pub enum AlphaRule {
     Fixed,
     /// As set, and W/Σw is measured at every sampling.
     Watched,
-    /// Starts as set and follows the multiplier of W/Σw ≥ `at_least` by dual ascent.
+    /// Follows the multiplier of W/Σw ≥ `at_least` by dual ascent, from the one of no constraint ([`ALPHA_MAX`]) on.
     Solved {
         /// Q_min ∈ [0, 1].
         at_least: f64,
@@ -146,12 +146,12 @@ struct Means {
 }
 
 impl Alpha {
-    /// Begins at `alpha`.
+    /// Begins at `alpha`, unless it is solved for.
     pub(super) fn new(rule: AlphaRule, alpha: f64) -> Alpha {
         let alpha = if alpha.is_nan() { 0.0 } else { alpha.clamp(0.0, 1.0) };
-        let target = match rule {
-            AlphaRule::Solved { at_least } => Some(at_least),
-            _ => None,
+        let (alpha, target) = match rule {
+            AlphaRule::Solved { at_least } => (ALPHA_MAX, Some(at_least)),
+            _ => (alpha, None),
         };
         Alpha {
             rule,
