@@ -18,6 +18,8 @@ pub struct Item {
     pub rep: RepId,
     /// What lies in one of these boxes is left out: others show it. At most [`HIDDEN_MAX`].
     pub hidden: Vec<Aabb>,
+    /// Metres by which an orthoview stands back: finer ones are drawn over it, which do not show all of its sides.
+    pub behind: f64,
     /// Of an orthoview's 4 × 4 tiles, those that may be seen: bit 4·row + column.
     pub tiles: u16,
     /// Tint for false colours, sRGB; `None` for the content's own.

@@ -51,7 +51,7 @@ mod tests {
         };
         let frustum = Frustum::new(&view);
         let seen = |behind: f64, hidden: Vec<Aabb>| {
-            let item = Item { rep: RepId(0), hidden, tiles: ALL_TILES, false_colour: None };
+            let item = Item { rep: RepId(0), hidden, behind: 0.0, tiles: ALL_TILES, false_colour: None };
             tiles_in_view(&frustum, &item, &boxes(behind))
         };
         assert_eq!(seen(0.0, Vec::new()), ALL_TILES & !(1 << 5));

@@ -198,7 +198,7 @@ impl ItemUniform {
         uniform.origin = eye.relative(lattice.origin).extend(lattice.pixel as f32).to_array();
         uniform.right = axis(lattice.right, lattice.step);
         uniform.up = axis(lattice.up, lattice.radius());
-        uniform.towards_eye = axis(lattice.towards_eye, 0.0);
+        uniform.towards_eye = axis(lattice.towards_eye, item.behind);
         let tile = lattice.tile();
         uniform.size = [lattice.size[0], lattice.size[1], tile[0], tile[1]];
         uniform.counts[1] = u32::from(lattice.has_normals);

@@ -290,7 +290,8 @@ impl Renderer {
         let uniform = FrameUniform::new(&eye, &self.settings, size, self.format.is_srgb());
         self.queue.write_buffer(&self.frame, 0, bytemuck::bytes_of(&uniform));
         let mut drawn = drawn(&self.uploaded, &list.items);
-        let whole = Item { rep: RepId(u32::MAX), hidden: Vec::new(), tiles: ALL_TILES, false_colour: None };
+        let whole =
+            Item { rep: RepId(u32::MAX), hidden: Vec::new(), behind: 0.0, tiles: ALL_TILES, false_colour: None };
         drawn.extend(list.faces.iter().filter_map(|number| {
             let what = Drawable::Splats(self.faces.get(number)?);
             Some(Drawn { item: &whole, key: FACES | u64::from(*number), what })

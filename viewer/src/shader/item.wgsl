@@ -4,7 +4,8 @@ struct Item {
     // What the content's positions are relative to: the middle of the first pixel, a mesh's origin, or where a face is seen from.
     // w: side of a pixel, metres; of a face's at distance 1.
     origin: vec4f,
-    // Image axes, unit; w of the first: metres of a step of depth; of the second: the disc's radius in pixels.
+    // Image axes, unit; w of the first: metres of a step of depth; of the second: the disc's radius in pixels; of the third: metres
+    // by which all stands back.
     right: vec4f,
     up: vec4f,
     towards_eye: vec4f,

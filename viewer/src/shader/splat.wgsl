@@ -181,7 +181,7 @@ fn fragment(splat: Splat) -> Written {
     }
     // Farther back by the square of the distance from the middle: where discs overlap, the nearest sample is shown.
     let aside = splat.at - splat.centre;
-    let back = BULGE * dot(aside, aside) / splat.side;
+    let back = BULGE * dot(aside, aside) / splat.side + item.towards_eye.w;
     out.depth = frame.forward.w / (1.0 / splat.position.w + back);
     out.colour = written(splat.light);
     return out;

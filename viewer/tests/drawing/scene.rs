@@ -38,7 +38,7 @@ pub(crate) fn looking(from: DVec3, at: DVec3, viewport: [u32; 2]) -> View {
 
 /// All of the representations with these numbers.
 pub(crate) fn list(reps: impl IntoIterator<Item = u32>) -> DrawList {
-    let item = |rep| Item { rep: RepId(rep), hidden: Vec::new(), tiles: ALL_TILES, false_colour: None };
+    let item = |rep| Item { rep: RepId(rep), hidden: Vec::new(), behind: 0.0, tiles: ALL_TILES, false_colour: None };
     DrawList { items: reps.into_iter().map(item).collect(), ..DrawList::default() }
 }
 

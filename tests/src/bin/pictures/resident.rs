@@ -89,7 +89,7 @@ impl Surfaces {
             let rep = RepId(piece as u32);
             if !matches!(content, Content::Empty) {
                 renderer.upload(rep, &content).map_err(|error| Fault::new(input, error))?;
-                list.items.push(Item { rep, hidden: Vec::new(), tiles: ALL_TILES, false_colour: None });
+                list.items.push(Item { rep, hidden: Vec::new(), behind: 0.0, tiles: ALL_TILES, false_colour: None });
             }
         }
         Ok(Surfaces { renderer, list })

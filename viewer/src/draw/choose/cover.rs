@@ -3,7 +3,7 @@
 use super::own::{Limits, Own, Sight, own};
 use super::{ChooseCounts, ChooseSettings};
 use crate::draw::list::{ALL_TILES, HIDDEN_MAX, Item};
-use foresight_scheduler::benefit::element::Errors;
+use foresight_scheduler::benefit::element::{Errors, NOTHING, least};
 use foresight_scheduler::benefit::frustum::{Frustum, Side};
 use foresight_scheduler::lod_tree::{Aabb, LodTree, NodeId, RepId};
 use foresight_scheduler::view::View;
@@ -17,6 +17,8 @@ enum Cover {
     Unseen,
     /// All of it.
     Full,
+    /// All of it, but what is above shows more of its sides: both are to be drawn.
+    Over,
     /// Some pieces.
     Part(Pieces),
     /// None of it.
@@ -27,8 +29,26 @@ enum Cover {
 #[derive(Default)]
 struct Pieces {
     drawn: Vec<Piece>,
+    /// Drawn over what is above.
+    over: Vec<Aabb>,
     undrawn: Vec<Aabb>,
 }
+
+/// What is above a node.
+#[derive(Clone, Copy)]
+struct Above<'a> {
+    /// What it would show the node with.
+    errors: &'a Errors,
+    /// Whether triangles are part of it, which cannot be drawn beneath splats.
+    has_mesh: bool,
+}
+
+/// Least quality that is worth drawing a place twice.
+const TWICE: f64 = 0.02;
+
+/// How far what is drawn beneath finer splats falls back, in sides of its own samples: beyond what coarser samples lie
+/// beside what they show.
+const BEHIND: f64 = 2.0;
 
 /// A box that is shown, and by which items.
 struct Piece {
@@ -81,9 +101,9 @@ impl<'a> Chooser<'a> {
     }
 
     /// As deep as the tree, which is at most [`foresight_scheduler::lod_tree::DEPTH_MAX`]. `inside` is whether the view is
-    /// known to show all of the node; `above` is what the best of the nodes above would show it with; `sample` is the side of
-    /// its orthoviews' pixels.
-    fn visit(&mut self, node: NodeId, sample: Option<f64>, mut inside: bool, above: Option<&Errors>) -> Cover {
+    /// known to show all of the node; `above` is what the nodes above would show it with; `sample` is the side of its
+    /// orthoviews' pixels.
+    fn visit(&mut self, node: NodeId, sample: Option<f64>, mut inside: bool, above: Option<Above<'_>>) -> Cover {
         self.counts.visited = self.counts.visited.saturating_add(1);
         let centre = self.tree.centre(node) - self.frustum.eye;
         let half = self.tree.half(node);
@@ -107,16 +127,30 @@ impl<'a> Chooser<'a> {
         }
         let sight = Sight::new(self.tree, node, centre, half, self.frustum.pixels_per_radian);
         let mine = own(self.tree, self.resident, node, &sight, &self.limits(node, sample));
-        let improves = |mine: &Own| above.is_none_or(|above| sight.quality(&mine.errors) >= sight.quality(above));
-        let mine = mine.filter(improves);
+        let mut lacks = false;
+        let mine = mine.filter(|mine| {
+            let Some(above) = above else { return true };
+            let [own, before, both] =
+                [&mine.errors, above.errors, &least(&mine.errors, above.errors)].map(|errors| sight.quality(errors));
+            lacks = !mine.suffices && !above.has_mesh && both > own + TWICE;
+            own >= before || lacks && both > before + TWICE
+        });
         let mut pieces = Pieces::default();
         let start = self.items.len();
         match &mine {
             Some(mine) if mine.suffices => {}
             _ => {
-                let errors = mine.as_ref().map(|mine| mine.errors);
-                let above = errors.as_ref().or(above);
-                match self.children(node, sample.map(|side| 0.5 * side), inside, above, &mut pieces) {
+                let (mut errors, mut has_mesh) = (NOTHING, false);
+                if let Some(mine) = &mine {
+                    errors = mine.errors;
+                    has_mesh = mine.reps.iter().any(|&rep| self.tree.direction(rep).is_none());
+                }
+                if let Some(above) = above.filter(|_| mine.is_none() || lacks) {
+                    errors = least(&errors, above.errors);
+                    has_mesh |= above.has_mesh;
+                }
+                let all = (mine.is_some() || above.is_some()).then_some(Above { errors: &errors, has_mesh });
+                match self.children(node, sample.map(|side| 0.5 * side), inside, all, &mut pieces) {
                     Cover::Nothing => {}
                     cover => return cover,
                 }
@@ -125,9 +159,9 @@ impl<'a> Chooser<'a> {
         match mine {
             Some(mine) => {
                 self.draw(mine, sample, pieces, start);
-                Cover::Full
+                if lacks { Cover::Over } else { Cover::Full }
             }
-            None if pieces.drawn.is_empty() => Cover::Nothing,
+            None if pieces.drawn.is_empty() && pieces.over.is_empty() => Cover::Nothing,
             None => Cover::Part(pieces),
         }
     }
@@ -138,7 +172,7 @@ impl<'a> Chooser<'a> {
         node: NodeId,
         sample: Option<f64>,
         inside: bool,
-        above: Option<&Errors>,
+        above: Option<Above<'_>>,
         pieces: &mut Pieces,
     ) -> Cover {
         if self.tree.is_leaf(node) {
@@ -156,14 +190,16 @@ impl<'a> Chooser<'a> {
                     let items = start..self.items.len();
                     pieces.drawn.push(Piece { bounds: tree.bounds(child), items });
                 }
+                Cover::Over => pieces.over.push(tree.bounds(child)),
                 Cover::Part(part) => {
                     pieces.drawn.extend(part.drawn);
+                    pieces.over.extend(part.over);
                     pieces.undrawn.extend(part.undrawn);
                 }
                 Cover::Nothing => pieces.undrawn.push(tree.bounds(child)),
             }
         }
-        match (seen, pieces.undrawn.is_empty()) {
+        match (seen, pieces.undrawn.is_empty() && pieces.over.is_empty()) {
             (false, _) => Cover::Unseen,
             (true, true) => Cover::Full,
             (true, false) => Cover::Nothing,
@@ -192,14 +228,18 @@ impl<'a> Chooser<'a> {
         }
         let off = |&rep: &RepId| sample.filter(|_| self.tree.direction(rep).is_some()).unwrap_or(self.tree.error(rep));
         let off = mine.reps.iter().map(off).fold(0.0, f64::max);
-        let hidden: Vec<Aabb> = pieces.drawn.iter().map(|piece| widened(piece.bounds, off, &pieces.undrawn)).collect();
+        let behind = if pieces.over.is_empty() { 0.0 } else { BEHIND * off };
+        let mut others = pieces.undrawn;
+        others.extend(pieces.over);
+        let hidden: Vec<Aabb> = pieces.drawn.iter().map(|piece| widened(piece.bounds, off, &others)).collect();
         self.counts.substitutes += u32::from(!mine.suffices);
         for rep in mine.reps {
-            self.items.push(Item { rep, hidden: hidden.clone(), tiles: ALL_TILES, false_colour: None });
+            self.items.push(Item { rep, hidden: hidden.clone(), behind, tiles: ALL_TILES, false_colour: None });
         }
     }
 
-    /// Keeps of the pieces the nearest [`HIDDEN_MAX`] that reach into nothing undrawn; takes the items of the others back.
+    /// Keeps of the pieces the nearest [`HIDDEN_MAX`] that reach into nothing undrawn, and takes the items of the others back.
+    /// What reaches into something that is drawn over the node is drawn over it too.
     fn separate(&mut self, pieces: &mut Pieces, start: usize) {
         let eye = self.frustum.eye;
         let distance = |bounds: &Aabb| (bounds.min - eye).max(eye - bounds.max).max(DVec3::ZERO).length_squared();
@@ -215,6 +255,13 @@ impl<'a> Chooser<'a> {
             let piece = pieces.drawn.swap_remove(place);
             pieces.undrawn.push(piece.bounds);
             dropped.push(piece);
+        }
+        loop {
+            let meets = |piece: &Piece| pieces.over.iter().any(|over| overlap(&piece.bounds, over));
+            let Some(place) = pieces.drawn.iter().position(meets) else {
+                break;
+            };
+            pieces.over.push(pieces.drawn.swap_remove(place).bounds);
         }
         if dropped.is_empty() {
             return;

@@ -9,7 +9,9 @@
 //! What is missing is substituted. Of what is resident at a node and above it, that is drawn which shows the node best by
 //! the objective's own measure, Σ_s share_s·a_s. Where some children of a node are shown by themselves and others are not,
 //! the node is drawn too, without what lies in the boxes of the former: no place that something resident shows is left
-//! empty, and none is shown by two levels. A child whose box reaches into that of one that is not there waits for it.
+//! empty. A child whose box reaches into that of one that is not there waits for it. Where a child is finer but has not all of the
+//! sides that are shown from above, both are drawn, the coarser a little farther back: the objective counts the best of each
+//! side, whichever level has it.
 //!
 //! A swap is put off as long as nobody could see it (\[HIBR\] §5.3): what is drawn stays for [`ChooseSettings::swap_margin`]
 //! beyond the point where it could be coarser, and for [`ChooseSettings::turn_margin`] beyond the one where another

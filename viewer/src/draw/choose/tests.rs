@@ -102,7 +102,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(400))]
 
     #[test]
-    fn every_place_that_something_resident_shows_is_drawn_once(tape in prop::collection::vec(any::<u16>(), 0..400)) {
+    fn every_place_that_something_resident_shows_is_drawn_and_by_two_levels_only_one_behind_the_other(tape in prop::collection::vec(any::<u16>(), 0..400)) {
         let mut tape = Tape(tape, 0);
         let tree = tree(&mut tape);
         let share = tape.below(4);
@@ -130,7 +130,13 @@ proptest! {
                 for _ in 0..4 {
                     let inside = DVec3::new(tape.unit(), tape.unit(), tape.unit()) * 1.8 - DVec3::splat(0.9);
                     let shown = showers(&tree, &list.items, leaf, tree.centre(leaf) + tree.half(leaf) * inside);
-                    prop_assert_eq!(shown.len(), usize::from(any), "leaf {:?} {:?} {:?}", leaf, shown, list.items);
+                    prop_assert_eq!(shown.is_empty(), !any, "leaf {:?} {:?} {:?}", leaf, shown, list.items);
+                    // The finest comes first.
+                    let mut coarser = list.items.iter().filter(|item| shown.iter().skip(1).any(|&n| n == tree.node_of(item.rep)));
+                    prop_assert!(
+                        coarser.all(|item| item.behind > 0.0 && tree.direction(item.rep).is_some()),
+                        "leaf {:?} {:?} {:?}", leaf, shown, list.items
+                    );
                 }
             }
         }
@@ -227,12 +233,12 @@ fn coarser_and_coarser_is_fewer_and_a_finer_bias_is_more() {
 fn a_cell_in_part_is_drawn_beside_its_parent_without_its_box() {
     let tree = octree(1);
     let view = looking(DVec3::new(512.0, 512.0, 1500.0));
-    // The root from all three, and of the children one from all three, one from one direction only.
+    // The root from all three, and of the children one from all three, one from one direction only, which is drawn over it.
     let own = |node: u32| tree.own(NodeId(node));
     let mut resident: BTreeSet<RepId> = own(0).chain(own(5).take(3)).chain(own(6).take(1)).collect();
     let mut list = DrawList::default();
     let counts = choose_in(&tree, None, &resident, &view, &ChooseSettings::default(), &mut list);
-    assert_eq!((counts.orthoviews, counts.substitutes, counts.hidden), (6, 2, 3), "{list:?}");
+    assert_eq!((counts.orthoviews, counts.substitutes, counts.hidden), (7, 3, 3), "{list:?}");
     let root = list.items.iter().find(|item| item.rep == RepId(0)).expect("the root");
     let (hidden, child) = (root.hidden[0], tree.bounds(NodeId(5)));
     // As much larger as a pixel of the root, but not into its neighbours.
@@ -245,6 +251,27 @@ fn a_cell_in_part_is_drawn_beside_its_parent_without_its_box() {
     assert_eq!((counts.orthoviews, counts.hidden), (4, 0));
     assert_eq!(choose_in(&tree, None, &BTreeSet::new(), &view, &ChooseSettings::default(), &mut list).visited, 1);
     assert!(list.items.is_empty());
+}
+
+#[test]
+fn a_finer_cell_is_drawn_over_a_coarser_one_that_shows_more_sides() {
+    let tree = octree(1);
+    let view = View { viewport: [1920, 1440], ..looking(DVec3::new(900.0, 512.0, 1600.0)) };
+    // The root from all three; of one child only the side, not what faces up.
+    let own = |node: u32| tree.own(NodeId(node));
+    let side = own(5).find(|&rep| tree.direction(rep) == Some(22));
+    let mut resident: BTreeSet<RepId> = own(0).chain(side).collect();
+    let mut list = DrawList::default();
+    let counts = choose_in(&tree, None, &resident, &view, &ChooseSettings::default(), &mut list);
+    assert_eq!((counts.orthoviews, counts.hidden), (4, 0), "{list:?}");
+    for item in &list.items {
+        assert_eq!(item.behind, if tree.node_of(item.rep) == NodeId(0) { 32.0 } else { 0.0 }, "{list:?}");
+    }
+    // With all three of them the root is not needed there.
+    resident.extend(own(5).take(3));
+    let counts = choose_in(&tree, None, &resident, &view, &ChooseSettings::default(), &mut list);
+    assert_eq!((counts.orthoviews, counts.hidden), (6, 3), "{list:?}");
+    assert!(list.items.iter().all(|item| item.behind == 0.0));
 }
 
 #[test]
@@ -359,7 +386,7 @@ fn settings_out_of_range_are_named_and_draw_something_all_the_same() {
     wrong.fov_y = f64::NAN;
     assert_eq!(choose_in(&tree, None, &resident, &wrong, &sane, &mut list), ChooseCounts::default());
     // Of another world: nothing to hold on to.
-    list.items = vec![Item { rep: RepId(9_999_999), hidden: Vec::new(), tiles: 0, false_colour: None }];
+    list.items = vec![Item { rep: RepId(9_999_999), hidden: Vec::new(), behind: 0.0, tiles: 0, false_colour: None }];
     choose_in(&tree, None, &resident, &looking(DVec3::splat(512.0)), &sane, &mut list);
     assert!(!list.items.is_empty());
 }
