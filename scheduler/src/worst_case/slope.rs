@@ -13,7 +13,7 @@ use super::bounds::Lens;
 use super::view_box::Views;
 use crate::benefit::frustum::Frustum;
 use crate::benefit::solid_angle::{of_box_in_frustum, outline_of_box};
-use core::f64::consts::FRAC_PI_2;
+use core::f64::consts::{FRAC_PI_2, FRAC_PI_3};
 use glam::DVec3;
 
 /// A solid angle (sr) over a set of views: within `rest` of `middle` + `moved`·δ + `turned`·ω, δ how far the eye is from the middle one
@@ -252,7 +252,7 @@ impl Shown {
 /// Upper bound on the length of the arc of a great circle, at most π, over a chord.
 fn arc(chord: DVec3) -> f64 {
     let length = chord.length();
-    length * if length > 1.0 { FRAC_PI_2 } else { 1.0472 }
+    length * if length > 1.0 { FRAC_PI_2 } else { FRAC_PI_3 }
 }
 
 /// Distance from the origin to a part of an edge.
