@@ -22,7 +22,7 @@ pub fn of_box_in_frustum(centre: DVec3, half: DVec3, frustum: &Frustum, straddle
     let Some(mut outline) = outline(centre, half) else { return frustum.solid_angle };
     for (i, plane) in frustum.planes.iter().enumerate() {
         if straddled & (1 << i) != 0 {
-            outline = clip(&outline, *plane);
+            clip(&mut outline, *plane);
         }
     }
     outline.solid_angle().clamp(0.0, frustum.solid_angle)
@@ -38,7 +38,7 @@ pub(crate) fn of_frustum_within(frustum: &Frustum, planes: &[DVec3]) -> f64 {
         *place = if ray.dot(frustum.forward) < 0.0 { -ray } else { ray };
     }
     for plane in planes {
-        view = clip(&view, *plane);
+        clip(&mut view, *plane);
     }
     view.solid_angle().clamp(0.0, frustum.solid_angle)
 }
@@ -63,6 +63,11 @@ pub(crate) fn outline_planes(centre: DVec3, half: DVec3) -> Option<([DVec3; 6], 
         count += 1;
     }
     Some((planes, count))
+}
+
+/// The corners of a box's outline in order, and how many; `None` from within.
+pub(crate) fn outline_of_box(centre: DVec3, half: DVec3) -> Option<([DVec3; 10], usize)> {
+    outline(centre, half).map(|outline| (outline.corners, outline.count))
 }
 
 /// The outline of a box seen from the origin, corner by corner; `None` from within. Its edges are seen as arcs of great
@@ -107,19 +112,28 @@ pub(crate) fn outline_corners(beyond: u32) -> &'static [u8] {
 }
 
 /// Sutherland–Hodgman against one half-space through the eye: where a chord meets the plane, its arc does too.
-fn clip(polygon: &Polygon, plane: DVec3) -> Polygon {
-    let mut out = Polygon { corners: [DVec3::ZERO; 10], count: 0 };
+fn clip(polygon: &mut Polygon, plane: DVec3) {
+    let count = polygon.count;
+    let mut sides = [0.0; 10];
+    let mut within = 0;
+    for (side, corner) in sides.iter_mut().zip(&polygon.corners[..count]) {
+        *side = plane.dot(*corner);
+        within += usize::from(*side >= 0.0);
+    }
+    if within == count || within == 0 {
+        polygon.count = within;
+        return;
+    }
+    let corners = polygon.corners;
+    let mut kept = 0;
     let mut push = |corner: DVec3| {
-        if out.count < out.corners.len() {
-            out.corners[out.count] = corner;
-            out.count += 1;
+        if let Some(place) = polygon.corners.get_mut(kept) {
+            *place = corner;
+            kept += 1;
         }
     };
-    let corners = &polygon.corners[..polygon.count];
-    let Some(&last) = corners.last() else { return out };
-    let (mut a, mut da) = (last, plane.dot(last));
-    for &b in corners {
-        let db = plane.dot(b);
+    let (mut a, mut da) = (corners[count - 1], sides[count - 1]);
+    for (&b, &db) in corners[..count].iter().zip(&sides) {
         if (da >= 0.0) != (db >= 0.0) {
             push(a + (b - a) * (da / (da - db)));
         }
@@ -128,7 +142,7 @@ fn clip(polygon: &Polygon, plane: DVec3) -> Polygon {
         }
         (a, da) = (b, db);
     }
-    out
+    polygon.count = kept;
 }
 
 impl Polygon {

@@ -31,7 +31,7 @@ pub struct Item {
 }
 
 /// Rounding of a sum of `count` terms, each good to a few ulp, as a share of it.
-fn rounding(count: usize) -> f64 {
+pub(super) fn rounding(count: usize) -> f64 {
     (count as f64 + 64.0) * 4.0 * f64::EPSILON
 }
 
@@ -221,8 +221,9 @@ pub fn group_solid_angle(centre: DVec3, half: DVec3, areas: DVec3) -> Interval {
 /// most an angle.
 #[derive(Clone, Copy, Debug)]
 pub struct Lens {
-    /// Half angles across and up, radians.
+    /// Half angles across and up, radians, and their tangents.
     half: (f64, f64),
+    tan: (f64, f64),
     right_up: (DVec3, DVec3),
     /// As the view has it.
     pub frustum: Frustum,
@@ -234,7 +235,8 @@ impl Lens {
         let frustum = Frustum::new(view);
         let up = 0.5 * view.fov_y;
         let across = libm::atan(libm::tan(up) * f64::from(view.viewport[0]) / f64::from(view.viewport[1]));
-        Lens { half: (across, up), right_up: (view.orientation * DVec3::X, view.orientation * DVec3::Y), frustum }
+        let tan = (libm::tan(across), libm::tan(up));
+        Lens { half: (across, up), tan, right_up: (view.orientation * DVec3::X, view.orientation * DVec3::Y), frustum }
     }
 
     /// The camera's right and up.
@@ -244,7 +246,7 @@ impl Lens {
 
     /// The corners of what is shown at distance 1 along the line of sight.
     pub fn corners(&self) -> [DVec3; 4] {
-        let (right, up) = (self.right_up.0 * libm::tan(self.half.0), self.right_up.1 * libm::tan(self.half.1));
+        let (right, up) = (self.right_up.0 * self.tan.0, self.right_up.1 * self.tan.1);
         let forward = self.frustum.forward;
         [forward - right - up, forward + right - up, forward + right + up, forward - right + up]
     }

@@ -2,13 +2,17 @@
 //!
 //! [`sampled`] takes the largest deficit over a covering set: never too large, and how far too small only guessed.
 //! [`certified`] is a branch and bound: boxes of positions × cones of directions, best bound first, each bounded over all
-//! its views at once ([`Targets::enclose`]) and halved until the largest bound is within the tolerance of the largest
-//! deficit met, or the budget of evaluations is spent; the gap that is left is stated.
+//! its views at once, by intervals ([`Targets::enclose`]) and to first order (`slope.rs`), and halved across the dimension without
+//! which the widest of its bounds would be narrowest, until the largest bound is within the tolerance of the largest
+//! deficit met, or the budget of evaluations is spent; the gap that is left is stated. From the worst view met the search climbs
+//! along one coordinate after the other.
 
 use super::bounds::{Interval, Item};
 use super::neighbourhood::Neighbourhood;
+use super::scaled_sum::Terms;
+use super::slope::{Extent, Slope};
 use super::target::{Deficit, Targets};
-use super::view_box::ViewBox;
+use super::view_box::{DIMENSIONS, ViewBox};
 use super::{WorstCaseError, within};
 use crate::estimate::{Certified, Estimate};
 use crate::view::View;
@@ -25,6 +29,16 @@ const DIRECTED: usize = 1;
 const FORGOTTEN: f64 = 0.95;
 /// Most that this shifts the choice between position and turn.
 const PREFERENCE_MAX: f64 = 8.0;
+/// One in so many of the targets that are bounded anew is tried before a box is halved, the widest first,
+const TRIED: usize = 5;
+/// but at least so many,
+const LEAST_TRIED: usize = 12;
+/// and at most so many.
+const MOST_TRIED: usize = 16;
+/// What the flattest box must gain on the least flattened one to be told from it, as a share of the frustum's solid angle.
+const TELLING: f64 = 1e-4;
+/// One in so many evaluations may be that of a single view.
+const SAMPLED: u64 = 2;
 /// Share of a box's width of bounds that is bounded anew in its halves.
 const RENEWED: f64 = 0.93;
 
@@ -40,9 +54,9 @@ pub struct MinimumSettings {
 }
 
 impl Default for MinimumSettings {
-    /// At decision time: 10 % of Σw, or a few thousand evaluations.
+    /// At decision time: 10 % of Σw, or some ten thousand evaluations; most situations need a few hundred.
     fn default() -> MinimumSettings {
-        MinimumSettings { tolerance: 0.1, evaluations_max: 8000, samples: 4 }
+        MinimumSettings { tolerance: 0.1, evaluations_max: 30_000, samples: 4 }
     }
 }
 
@@ -115,6 +129,8 @@ pub fn worst_views(
 /// A box with its bound, and what can be seen from it.
 struct Open {
     bound: f64,
+    /// Where the bound was found, [`Terms::most`].
+    lambda: f64,
     id: u32,
     part: ViewBox,
     seen: Box<[Packed]>,
@@ -194,6 +210,20 @@ struct Search<'a> {
     boxes: u32,
     /// By how much halving boxes has lowered their bounds, and the lengths halved: along position, and along turns.
     halved: [(f64, f64); 2],
+    /// Everything that is reachable.
+    whole: ViewBox,
+    /// The targets of a box whose bounds are widest, widest first.
+    order: Vec<u32>,
+    /// Coordinates of the worst view met, the steps that are taken from it, and which is next.
+    summit: [f64; DIMENSIONS],
+    steps: [f64; DIMENSIONS],
+    turn: usize,
+    /// Weights to first order of what was bounded last.
+    slopes: Vec<(u32, Slope)>,
+    /// Room for the terms of a bound: all by their intervals, and those left if the others are taken by their slopes.
+    all: Vec<Item>,
+    plain: Vec<Item>,
+    sloped: Vec<(f64, Slope)>,
 }
 
 impl<'a> Search<'a> {
@@ -212,13 +242,53 @@ impl<'a> Search<'a> {
             kept: 0,
             boxes: 0,
             halved: [(0.0, 0.0); 2],
+            whole: neighbourhood.whole(),
+            order: Vec::new(),
+            summit: [0.0; DIMENSIONS],
+            steps: neighbourhood.whole().half.map(|half| 0.5 * half),
+            turn: 0,
+            slopes: Vec::new(),
+            all: Vec::new(),
+            plain: Vec::new(),
+            sloped: Vec::new(),
         }
     }
 
-    fn meet(&mut self, view: View, met: Deficit) {
+    /// Whether it is worse than all met before.
+    fn meet(&mut self, view: View, met: Deficit) -> bool {
         self.weight = self.weight.max(met.weight);
-        if met.deficit > self.largest {
+        let is_worse = met.deficit > self.largest;
+        if is_worse {
             (self.largest, self.worst) = (met.deficit, view);
+        }
+        is_worse
+    }
+
+    /// Looks around the worst view met: one step along one of the coordinates, forth or back. Steps that lead on grow, those that
+    /// do not shrink.
+    fn climb(&mut self, whole: &[(u32, Item)]) {
+        let (turn, sign) = (self.turn % (2 * DIMENSIONS), if self.turn.is_multiple_of(2) { 1.0 } else { -1.0 });
+        let axis = turn / 2;
+        self.turn += 1;
+        let step = self.steps[axis];
+        if step <= 0.0 {
+            return;
+        }
+        let mut at = self.summit;
+        let limit = self.whole;
+        at[axis] =
+            (at[axis] + sign * step).clamp(limit.mid[axis] - limit.half[axis], limit.mid[axis] + limit.half[axis]);
+        let view = self.neighbourhood.reachable(at);
+        self.evaluations += whole.len() as u64;
+        self.sampled += whole.len() as u64;
+        let met = self.targets.at_among(&view, whole);
+        if self.meet(view, met) {
+            self.summit = at;
+            self.steps[axis] *= 1.5;
+            // Once more the same way.
+            self.turn -= 1;
+        } else if sign < 0.0 {
+            self.steps[axis] *= 0.5;
         }
     }
 
@@ -234,21 +304,28 @@ impl<'a> Search<'a> {
         let affordable = u64::from(self.settings.evaluations_max) / 8 / count.max(1);
         let samples = self.settings.samples.min(affordable.max(1) as usize);
         let present = *self.neighbourhood.view();
-        let covering = self.neighbourhood.covering(samples, self.radians_per_metre).views;
+        let covering = self.neighbourhood.boxes(samples, self.radians_per_metre).into_iter();
+        let covering = covering.map(|part| (self.neighbourhood.reachable(part.mid), part.mid));
         // The middle of everything is often the present view once more.
-        for (_, view) in covering.into_iter().enumerate().filter(|(i, view)| *i == 0 || *view != present) {
+        let covering = covering.filter(|(view, _)| *view != present);
+        for (view, at) in core::iter::once((present, [0.0; DIMENSIONS])).chain(covering) {
             self.evaluations += count;
             self.sampled += count;
-            self.meet(view, self.targets.at(&view));
+            if self.meet(view, self.targets.at(&view)) {
+                self.summit = at;
+            }
         }
         let mut found = Vec::new();
-        let whole = self.neighbourhood.whole();
-        self.targets.enclose(&self.neighbourhood.views(&whole), None, &mut found);
+        let whole = self.whole;
+        self.targets.enclose_with_slopes(&self.neighbourhood.views(&whole), None, &mut found, &mut self.slopes);
         self.evaluations += count;
         for rank in 0..DIRECTED {
             self.look(&whole, &found, Some(rank));
         }
-        self.push(whole, self.targets.deficit_bounds(&found).hi, &found);
+        let whole_found = found.clone();
+        let mut lambda = 0.5;
+        let bound = self.bound(&whole, &found, &mut lambda);
+        self.push(whole, bound, lambda, &found);
         // Greatest bound of the boxes that are not looked into any more.
         let mut settled = 0.0f64;
         let (mut fresh, mut again) = (Vec::new(), Vec::new());
@@ -265,23 +342,30 @@ impl<'a> Search<'a> {
                 continue;
             };
             self.widest(&open.seen, &mut again);
+            let axis = self.axis(&open, axis, again.len());
+            again.sort_unstable();
             let mut greatest = 0.0f64;
             for part in open.part.split(axis) {
                 if self.neighbourhood.is_outside(&part) {
                     continue;
                 }
-                self.targets.enclose(&self.neighbourhood.views(&part), Some(&again), &mut fresh);
+                let views = self.neighbourhood.views(&part);
+                self.targets.enclose_with_slopes(&views, Some(&again), &mut fresh, &mut self.slopes);
                 self.evaluations += again.len() as u64;
                 inherit(&open.seen, &again, &fresh, &mut found);
-                let bound = self.targets.deficit_bounds(&found).hi.min(open.bound);
+                let mut lambda = open.lambda;
+                let bound = self.bound(&part, &found, &mut lambda).min(open.bound);
                 greatest = greatest.max(bound);
                 if bound <= self.largest {
                     continue;
                 }
-                if 4 * self.sampled <= self.evaluations {
+                if SAMPLED * self.sampled <= self.evaluations {
+                    if !self.boxes.is_multiple_of(4) {
+                        self.climb(&whole_found);
+                    }
                     self.look(&part, &found, self.boxes.is_multiple_of(2).then_some(0));
                 }
-                self.push(part, bound, &found);
+                self.push(part, bound, lambda, &found);
             }
             let scale = if axis < 3 { self.radians_per_metre } else { 1.0 };
             let (lowered, length) = &mut self.halved[usize::from(axis >= 3)];
@@ -301,7 +385,7 @@ impl<'a> Search<'a> {
     /// others.
     fn look(&mut self, part: &ViewBox, found: &[(u32, Item)], rank: Option<usize>) {
         let open = |item: &Item| item.weight.hi * item.share.hi - item.weight.lo * item.share.lo;
-        let middle = self.neighbourhood.sample(part);
+        let middle = self.neighbourhood.reachable(part.mid);
         let mut order: Vec<(f64, u32)> = Vec::new();
         if rank.is_some() {
             order.extend(found.iter().map(|(index, item)| (open(item), *index)));
@@ -309,16 +393,42 @@ impl<'a> Search<'a> {
         let widest = rank
             .filter(|&rank| rank < order.len())
             .map(|rank| order.select_nth_unstable_by(rank, |a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1))).1.1);
-        let view = match widest {
-            Some(index) => {
-                let point = self.targets.nearest_point(index, middle.position);
-                self.neighbourhood.sample_towards(part, point)
-            }
-            None => middle,
+        let at = match widest {
+            Some(index) => self.neighbourhood.towards(part, self.targets.nearest_point(index, middle.position)),
+            None => part.mid,
         };
+        let view = self.neighbourhood.reachable(at);
         self.evaluations += found.len() as u64;
         self.sampled += found.len() as u64;
-        self.meet(view, self.targets.at_among(&view, found));
+        if self.meet(view, self.targets.at_among(&view, found)) {
+            self.summit = at;
+            for (step, half) in self.steps.iter_mut().zip(part.half) {
+                *step = step.max(0.5 * half);
+            }
+        }
+    }
+
+    /// Greatest deficit of a box's views by what can be seen from them: by intervals alone, and with the slopes found last.
+    fn bound(&mut self, part: &ViewBox, found: &[(u32, Item)], lambda: &mut f64) -> f64 {
+        let extent = Extent::of(&self.neighbourhood.views(part));
+        let solid_angle = self.targets.solid_angle();
+        self.all.clear();
+        self.plain.clear();
+        self.sloped.clear();
+        let mut slopes = self.slopes.iter().peekable();
+        for (index, item) in found {
+            self.all.push(*item);
+            while slopes.next_if(|s| s.0 < *index).is_some() {}
+            match slopes.next_if(|s| s.0 == *index) {
+                Some((_, slope)) => self.sloped.push((item.share.hi, *slope)),
+                None => self.plain.push(*item),
+            }
+        }
+        let mut most = Terms { plain: &self.all, sloped: &[], extent, solid_angle }.most(lambda);
+        if !self.sloped.is_empty() {
+            most = most.min(Terms { plain: &self.plain, sloped: &self.sloped, extent, solid_angle }.most(lambda));
+        }
+        most.min(solid_angle * (1.0 + 1e-12))
     }
 
     /// How much more halving a length of position has lowered bounds than halving a turn of as many radians.
@@ -327,16 +437,16 @@ impl<'a> Search<'a> {
         if position > 0.0 && turn > 0.0 { (position / turn).clamp(1.0 / PREFERENCE_MAX, PREFERENCE_MAX) } else { 1.0 }
     }
 
-    fn push(&mut self, part: ViewBox, bound: f64, found: &[(u32, Item)]) {
+    fn push(&mut self, part: ViewBox, bound: f64, lambda: f64, found: &[(u32, Item)]) {
         self.boxes = self.boxes.saturating_add(1);
         self.kept += found.len();
         let seen = found.iter().map(Packed::new).collect();
-        self.heap.push(Open { bound, id: self.boxes, part, seen });
+        self.heap.push(Open { bound, lambda, id: self.boxes, part, seen });
     }
 
     /// The targets, in order, that are to be bounded anew for the halves of a box: those with the widest bounds, which
     /// make up [`RENEWED`] of all width; the rest keep the bounds of the whole box.
-    fn widest(&self, seen: &[Packed], again: &mut Vec<u32>) {
+    fn widest(&mut self, seen: &[Packed], again: &mut Vec<u32>) {
         let weight: f64 = seen.iter().map(|p| f64::from(p.weight[0])).sum();
         let omega = self.targets.solid_angle();
         // Where weights are scaled to the frustum, what is like the mean matters least.
@@ -349,6 +459,8 @@ impl<'a> Search<'a> {
         let mut order: Vec<(f64, u32)> = seen.iter().map(|p| (spread(&p.item()), p.index)).collect();
         order.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
         let all: f64 = order.iter().map(|o| o.0).sum();
+        self.order.clear();
+        self.order.extend(order.iter().take(MOST_TRIED).map(|o| o.1));
         let mut sum = 0.0;
         again.clear();
         for (spread, index) in order {
@@ -358,7 +470,32 @@ impl<'a> Search<'a> {
             sum += spread;
             again.push(index);
         }
-        again.sort_unstable();
+    }
+
+    /// The dimension across which to halve a box: that without whose extent the terms whose bounds are widest would amount to least;
+    /// `longest` where all are alike. Halving alone often shows nothing: what some view sees, and some not, is so in both halves.
+    fn axis(&mut self, open: &Open, longest: usize, renewed: usize) -> usize {
+        let looked = (renewed / TRIED).max(LEAST_TRIED).min(self.order.len());
+        let mut tried: Vec<u32> = self.order[..looked].to_vec();
+        tried.sort_unstable();
+        let mut fresh = Vec::new();
+        let mut worths = [f64::INFINITY; DIMENSIONS];
+        for axis in (0..DIMENSIONS).filter(|&axis| open.part.is_divisible(axis)) {
+            let mut flat = open.part;
+            flat.half[axis] = 0.0;
+            self.targets.enclose(&self.neighbourhood.views(&flat), Some(&tried), &mut fresh);
+            self.evaluations += looked as u64;
+            let excess = |item: &Item| {
+                let over = item.share.hi - open.lambda;
+                over * if over > 0.0 { item.weight.hi } else { item.weight.lo }
+            };
+            worths[axis] = fresh.iter().map(|(_, item)| excess(item)).sum::<f64>();
+        }
+        let known = || worths.into_iter().enumerate().filter(|(_, worth)| worth.is_finite());
+        let most = known().map(|(_, worth)| worth).fold(f64::NEG_INFINITY, f64::max);
+        let least = known().min_by(|a, b| a.1.total_cmp(&b.1));
+        let best = least.filter(|(_, worth)| most - worth > TELLING * self.targets.solid_angle());
+        best.map_or(longest, |best| best.0)
     }
 }
 

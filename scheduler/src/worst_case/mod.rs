@@ -13,6 +13,8 @@ pub mod max_min;
 pub mod minimum;
 pub mod neighbourhood;
 pub mod reach;
+mod scaled_sum;
+mod slope;
 pub mod target;
 mod turned;
 pub mod union;

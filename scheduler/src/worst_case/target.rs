@@ -9,6 +9,7 @@
 use super::bounds::{Interval, Item, Lens, scale, scaled_sum, solid_angle};
 use super::faceted::{self, Faceted};
 use super::neighbourhood::Neighbourhood;
+use super::slope::{Extent, Slope, slope};
 use super::view_box::Views;
 use super::{WorstCaseError, check_cut, turned};
 use crate::benefit::accuracy::{accuracy, sharpness};
@@ -70,6 +71,17 @@ pub struct Deficit {
 /// Half angles of frusta beyond which polygons are no longer clipped exactly, radians: their solid angles are then
 /// bounded by those of the whole box.
 const CLIP_CORNER_MAX: f64 = 1.45;
+
+/// Eyes spread by at most this share of a leaf's radius see of it about what the middle sees of the grown box.
+const SMALL: f64 = 0.25;
+/// Views that turn by less than this, radians, are turned as one.
+const TURN_MIN: f64 = 1e-9;
+/// Width of a leaf's interval from which on its slope is looked for, as a share of the frustum's solid angle.
+const SLOPED_MIN: f64 = 1e-3;
+/// What is uncertain about a slope's remainder is at most this share of the interval's width, or the interval serves.
+const SLOPED_MAX: f64 = 0.7;
+/// A remainder of at most this share of what the slope amounts to leaves nothing to clipped polygons.
+const SMOOTH: f64 = 0.3;
 
 impl Targets {
     /// Of a neighbourhood: everything that is not outside for all its views. Distances are at least the near plane and
@@ -262,15 +274,29 @@ impl Targets {
     /// Weight and deficit of every target that some of the views may see, into `found`. Only the targets named by `among`
     /// are looked at, or all.
     pub fn enclose(&self, views: &Views, among: Option<&[u32]>, found: &mut Vec<(u32, Item)>) {
+        self.enclose_with_slopes(views, among, found, &mut Vec::new());
+    }
+
+    /// As [`Targets::enclose`], and into `slopes` the weights of those that are known to first order.
+    pub(super) fn enclose_with_slopes(
+        &self,
+        views: &Views,
+        among: Option<&[u32]>,
+        found: &mut Vec<(u32, Item)>,
+        slopes: &mut Vec<(u32, Slope)>,
+    ) {
         let lens = Lens::new(&View { position: views.eye, orientation: views.orientation, ..self.view });
         let wide = lens.widened(views.turn, views.turns);
         let narrow = lens.narrowed(views.turn, views.turns);
         found.clear();
+        slopes.clear();
+        let set = SetOfViews { views, extent: Extent::of(views), lens: &lens, wide: &wide, narrow: narrow.as_ref() };
         let all = 0..self.targets.len() as u32;
         let mut look = |index: u32| {
-            let item = self.bounds(&self.targets[index as usize], views, &lens, &wide, narrow.as_ref());
+            let (item, slope) = self.bounds(&self.targets[index as usize], &set);
             if item.weight.hi > 0.0 {
                 found.push((index, item));
+                slopes.extend(slope.map(|slope| (index, slope)));
             }
         };
         match among {
@@ -285,16 +311,16 @@ impl Targets {
         Interval { lo: found.lo, hi: found.hi.min(self.solid_angle * (1.0 + 1e-12)) }
     }
 
-    fn bounds(&self, target: &Target, views: &Views, lens: &Lens, wide: &Frustum, narrow: Option<&Frustum>) -> Item {
-        let centre = target.centre - views.eye;
-        let side = side_of(&lens.frustum, centre, target.half, views);
+    fn bounds(&self, target: &Target, set: &SetOfViews) -> (Item, Option<Slope>) {
+        let centre = target.centre - set.views.eye;
+        let side = side_of(&set.lens.frustum, centre, target.half, set.views);
         if side == Seen::Never {
-            return Item::default();
+            return (Item::default(), None);
         }
         if target.is_far {
-            self.far_bounds(target, centre, side, views, lens)
+            (self.far_bounds(target, centre, side, set.views, set.lens), None)
         } else {
-            self.leaf_bounds(target, centre, side, views, lens, wide, narrow)
+            self.leaf_bounds(target, centre, side, set)
         }
     }
 
@@ -356,17 +382,8 @@ impl Targets {
         }
     }
 
-    #[expect(clippy::too_many_arguments, reason = "one box of views in its several forms")]
-    fn leaf_bounds(
-        &self,
-        target: &Target,
-        centre: DVec3,
-        side: Seen,
-        views: &Views,
-        lens: &Lens,
-        wide: &Frustum,
-        narrow: Option<&Frustum>,
-    ) -> Item {
+    fn leaf_bounds(&self, target: &Target, centre: DVec3, side: Seen, set: &SetOfViews) -> (Item, Option<Slope>) {
+        let SetOfViews { views, lens, wide, narrow, .. } = *set;
         let (half, frustum) = (target.half, &lens.frustum);
         let outside = centre.abs() - half;
         let here = outside.max(DVec3::ZERO).length();
@@ -379,17 +396,30 @@ impl Targets {
         let clips = wide.corner_angle < CLIP_CORNER_MAX;
         let cos = libm::cos(wide.corner_angle);
         let slack = 1e-14 / (cos * cos * cos);
+        let mut sloped = None;
         if (centre.abs() + views.half).cmple(half).all() {
             // From within, a leaf fills every view.
             omega = Interval { lo: frustum.solid_angle, hi: frustum.solid_angle };
-        } else if side != Seen::Always {
+        } else {
             let whole = omega;
-            omega.lo = 0.0;
-            if clips {
+            if side != Seen::Always {
+                omega.lo = 0.0;
+            }
+            if omega.width() > SLOPED_MIN * frustum.solid_angle {
+                sloped = slope(lens, centre, half, views);
+            }
+            let mut is_smooth = false;
+            if let Some(slope) = &sloped {
+                let by = set.extent.most(slope.moved, slope.turned);
+                is_smooth = slope.rest <= SMOOTH * by;
+                omega.hi = omega.hi.min(slope.middle + by + slope.rest);
+                omega.lo = omega.lo.max(slope.middle - by - slope.rest).min(omega.hi);
+            }
+            if clips && !is_smooth && side != Seen::Always {
                 // What some eye sees of the box, the middle sees of the box grown by the eyes' spread.
                 let grown = of_box_in_frustum(centre, half + views.half, wide, 0b1111) + slack;
                 omega.hi = omega.hi.min(grown);
-                if views.radius < 0.5 * here {
+                if views.radius < 0.5 * here && views.radius > SMALL * half.length() {
                     // Or: it sees it turned by at most asin(r/d), and larger by at most the factor of the faces.
                     let unclipped = solid_angle(centre, half, DVec3::ZERO, 0.0);
                     if unclipped.lo > 0.0 && views.radius > 0.0 {
@@ -404,7 +434,7 @@ impl Targets {
                     }
                 }
                 // What is wider than the views turn is better turned against the views than the views against it.
-                let is_wide = half.length() > views.turn * here;
+                let is_wide = views.turn > TURN_MIN && half.length() > views.turn * here;
                 if is_wide && let Some(most) = turned::solid_angle(lens, centre, half + views.half, views, 1.0) {
                     omega.hi = omega.hi.min(most + slack);
                 }
@@ -424,26 +454,39 @@ impl Targets {
                         .map(|(centre, half)| seen_least(centre, half))
                         .sum()
                 };
-                omega.lo = least.min(whole.hi).min(omega.hi);
+                omega.lo = omega.lo.max(least.min(whole.hi)).min(omega.hi);
             }
         }
         if self.has_directions {
             let bounds = |error: f32| self.deficit_bounds_of(error, nearest, farthest);
             let Some((mean, always)) = faceted::bounds(self.facets(target), centre, target.half, views, bounds) else {
-                return Item::default();
+                return (Item::default(), None);
             };
             let least = if always { target.importance * omega.lo } else { 0.0 };
-            return Item {
+            let item = Item {
                 weight: sane(least, target.importance * omega.hi, f64::INFINITY),
                 share: sane(mean.lo * (1.0 - 1e-9), mean.hi * (1.0 + 1e-9), 1.0),
             };
+            return (item, None);
         }
         let error = self.parts[target.parts.start as usize].error;
-        Item {
+        let item = Item {
             weight: sane(target.importance * omega.lo, target.importance * omega.hi, f64::INFINITY),
             share: sane(self.deficit_of(error, farthest) - 1e-15, self.deficit_of(error, nearest) + 1e-15, 1.0),
-        }
+        };
+        // Else the interval says as much.
+        let sloped = sloped.filter(|slope| 2.0 * slope.rest <= SLOPED_MAX * omega.width());
+        (item, sloped.map(|slope| slope.times(target.importance)))
     }
+}
+
+/// A box of views in its several forms.
+struct SetOfViews<'a> {
+    views: &'a Views,
+    extent: Extent,
+    lens: &'a Lens,
+    wide: &'a Frustum,
+    narrow: Option<&'a Frustum>,
 }
 
 /// Distance to the nearest point of a box.

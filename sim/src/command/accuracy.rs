@@ -205,10 +205,21 @@ fn cases(args: &AccuracyArgs) -> anyhow::Result<Vec<Case>> {
         for case in CASES.iter().filter(|case| case.needs_data()) {
             let Some(mut line) = case.commands(data).into_iter().next() else { continue };
             line.extend(["--at-most", RECORDED_SECONDS].map(str::to_owned));
-            cases.push(Case { name: case.name.to_owned(), line });
+            let name = unused(&cases, case.name);
+            cases.push(Case { name, line });
         }
     }
     Ok(cases)
+}
+
+/// `name`, with a number from 2 on if a case is called so already.
+fn unused(cases: &[Case], name: &str) -> String {
+    let is_used = |name: &str| cases.iter().any(|case| case.name == name);
+    if !is_used(name) {
+        return name.to_owned();
+    }
+    let numbered = (2..).map(|number| format!("{name} {number}"));
+    numbered.into_iter().find(|name| !is_used(name)).unwrap_or_default()
 }
 
 fn measure_cases(

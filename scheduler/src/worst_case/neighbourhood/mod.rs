@@ -331,9 +331,9 @@ impl Neighbourhood {
         self.reachable(part.mid)
     }
 
-    /// A reachable view of the box, or near it, that is near `point` and turned towards it: of each coordinate the end or
-    /// the middle that serves best, one after the other.
-    pub fn sample_towards(&self, part: &ViewBox, point: DVec3) -> View {
+    /// Coordinates of a view of the box that is near `point` and turned towards it: of each the end or the middle that serves
+    /// best, one after the other.
+    pub(super) fn towards(&self, part: &ViewBox, point: DVec3) -> [f64; DIMENSIONS] {
         let mut at = part.mid;
         // Less is better: the distance of an eye, minus the cosine of a turn.
         let rate = |at: &[f64; DIMENSIONS], axis: usize| {
@@ -352,11 +352,11 @@ impl Neighbourhood {
                 }
             }
         }
-        self.reachable(at)
+        at
     }
 
     /// The view at coordinates, moved into the ball or the disc that holds what is reachable.
-    fn reachable(&self, mut at: [f64; DIMENSIONS]) -> View {
+    pub(super) fn reachable(&self, mut at: [f64; DIMENSIONS]) -> View {
         let mut shrink = |axes: &[usize], limit: f64| {
             let norm = axes.iter().map(|&i| at[i] * at[i]).sum::<f64>().sqrt();
             if norm > limit {
