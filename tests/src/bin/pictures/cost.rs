@@ -70,6 +70,7 @@ pub(crate) fn findings(scenes: &[Scene]) -> Result<Findings, Fault> {
             let kept: Vec<(RepId, Content)> =
                 contents.iter().map(|(rep, content)| (*rep, content.clone().compressed(compression))).collect();
             let compressing_ms = watch.nanos() as f64 / 1e6 / contents.len().max(1) as f64;
+            eprintln!("{}, {}: {compressing_ms:.2} ms to compress a content", scene.name, compression.name());
             for (samples, raw) in [1, 4].into_iter().zip(&mut raw) {
                 let render = RenderSettings { samples, ..RenderSettings::default() };
                 let mut renderer = Renderer::new(&gpu, render, FORMAT);
@@ -80,8 +81,10 @@ pub(crate) fn findings(scenes: &[Scene]) -> Result<Findings, Fault> {
                     uploads_ms.push(watch.nanos() as f64 / 1e6);
                 }
                 let longest_ms = uploads_ms.iter().copied().fold(0.0, f64::max);
+                let upload_ms = median(uploads_ms);
+                eprintln!("{upload_ms:.2} ms to upload one, {longest_ms:.2} ms at most");
                 let (mut times, mut last) = (Vec::new(), None);
-                // The first makes pipelines.
+                // The first makes pipelines: of BC7 in software that takes minutes.
                 for repeat in 0..=REPEATS {
                     let watch = Stopwatch::start();
                     let picture = renderer.picture(view, &drawn).map_err(|error| fault(error.to_string()))?;
@@ -102,7 +105,7 @@ pub(crate) fn findings(scenes: &[Scene]) -> Result<Findings, Fault> {
                     json!(counts.points),
                     json!(renderer.gpu_bytes() as f64 / 1e6),
                     json!(compressing_ms),
-                    json!(median(uploads_ms)),
+                    json!(upload_ms),
                     json!(longest_ms),
                     json!(time),
                     json!(time / (counts.points as f64 / 1e6)),
