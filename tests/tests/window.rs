@@ -8,6 +8,8 @@ use std::time::Duration;
 use foresight_tests::desktop::{Desktop, Screen};
 use foresight_tests::program::{self, Ended};
 use foresight_tests::sidecar::process::Server;
+use foresight_viewer::scene::source::Source;
+use glam::{DQuat, DVec3};
 
 /// What the panels leave free of a window of 800 × 600 pixels in the screen's corner.
 const MIDDLE: [u32; 4] = [360, 300, 180, 180];
@@ -112,6 +114,129 @@ fn a_window_is_flown_through_resized_and_closed() {
     options.extend(path);
     options.push("--close");
     figures(&desktop.open(folder, &options).finish());
+}
+
+/// A pose of a recorded path: where, and along what.
+struct Pose {
+    position: DVec3,
+    forward: DVec3,
+}
+
+/// The poses of a recording that is whole.
+fn recorded(file: &Path) -> Vec<Pose> {
+    for _ in 0..60 {
+        if file.is_file() {
+            break;
+        }
+        std::thread::sleep(Duration::from_millis(500));
+    }
+    let text = std::fs::read_to_string(file).unwrap_or_else(|error| panic!("{}: {error}", file.display()));
+    let lines = text.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).expect("a line is JSON"));
+    let numbers = |line: &serde_json::Value, key: &str| -> Vec<f64> {
+        serde_json::from_value(line[key].clone()).unwrap_or_else(|error| panic!("{key} of {line}: {error}"))
+    };
+    let pose = |line: serde_json::Value| {
+        let orientation = DQuat::from_slice(&numbers(&line, "orientation"));
+        Pose { position: DVec3::from_slice(&numbers(&line, "position")), forward: orientation * DVec3::NEG_Z }
+    };
+    lines.skip(1).map(pose).collect()
+}
+
+#[test]
+fn who_walks_stays_on_the_ground_and_who_orbits_at_a_distance() {
+    if let Err(reason) = foresight_tests::full() {
+        println!("{reason}");
+        return;
+    }
+    let Some(desktop) = Desktop::start() else { return };
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let folder = folder.path();
+    let kept = pictures(folder);
+    let file = |name: &str| kept.join(name);
+    let hills = "terrain:size=800m,resolution=10m,relief=1km";
+    let (world, _) = Source::open(hills).expect("a terrain");
+    let mut options = vec!["--world", hills, "--captures", "captures", "--json"];
+    options.extend(SIZE);
+    let mut window = desktop.open(folder, &options);
+    let before = window.until(&file("walk-before.png"), "picture", |screen| screen.colours(MIDDLE) >= 2);
+
+    // Lit, for the hills to be seen.
+    window.press("l");
+    window.press("2");
+    window.hold("Up", Duration::from_millis(300));
+    window.press("r");
+    window.hold("w", Duration::from_secs(4));
+    // Neither leads off the ground.
+    window.hold("e", Duration::from_secs(1));
+    window.hold("q", Duration::from_secs(1));
+    window.hold("d", Duration::from_secs(2));
+    window.press("r");
+    let walked = recorded(&folder.join("captures/path-0001.jsonl"));
+    let walking = window.screen(&file("walk.png"));
+    assert!(walking.differs(&before, MIDDLE) > 0.3, "nothing has changed");
+    let bounds = world.tree.bounds(world.tree.root());
+    for Pose { position, .. } in &walked {
+        let ground = world.ground_height(*position).expect("a ground");
+        assert!((position.z - ground - 1.7).abs() < 1e-6, "{} m above the ground", position.z - ground);
+        assert!(position.cmpge(bounds.min - 10.0).all() && position.cmple(bounds.max + 10.0).all(), "{position}");
+    }
+    let way = |poses: &[Pose]| poses.windows(2).map(|two| two[0].position.distance(two[1].position)).sum::<f64>();
+    assert!(walked.len() > 5 && way(&walked) > 3.0, "{} poses, {} m", walked.len(), way(&walked));
+
+    window.press("Home");
+    window.press("3");
+    window.press("r");
+    window.hold("d", Duration::from_secs(3));
+    window.hold("e", Duration::from_millis(200));
+    window.drag(60, 30);
+    window.press("r");
+    let orbited = recorded(&folder.join("captures/path-0002.jsonl"));
+    let orbiting = window.screen(&file("orbit.png"));
+    // Between the panels, where the sky was.
+    assert!(orbiting.differs(&walking, [368, 0, 76, 150]) > 0.5, "nothing has changed");
+    let (first, last) = (&orbited[0], &orbited[orbited.len() - 1]);
+    assert!(first.forward.angle_between(last.forward) > 0.3, "{} to {}", first.forward, last.forward);
+    // The distance at which the first and the last look at the same place: (p₁ − p₀)·(f₀ − f₁) / |f₀ − f₁|².
+    let turned = first.forward - last.forward;
+    let distance = (last.position - first.position).dot(turned) / turned.length_squared();
+    let pivot = first.position + distance * first.forward;
+    // On the first box ahead, or in it.
+    let is_inside = pivot.cmpge(bounds.min - 0.01).all() && pivot.cmple(bounds.max + 0.01).all();
+    assert!(distance > 10.0 && is_inside, "{distance} m to {pivot}, in {bounds:?}");
+    for Pose { position, forward } in &orbited {
+        assert!((*position + distance * *forward).distance(pivot) < 1e-6 * distance, "{position} of {pivot}");
+    }
+    window.press("Escape");
+    figures(&window.finish());
+}
+
+#[test]
+fn environment_maps_are_made_anew_with_another_device() {
+    if let Err(reason) = foresight_tests::full() {
+        println!("{reason}");
+        return;
+    }
+    let Some(desktop) = Desktop::start() else { return };
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let folder = folder.path();
+    let kept = pictures(folder);
+    let file = |name: &str| kept.join(name);
+    // Few pixels, so that eight maps are soon made.
+    let window = ["--viewport", "200x150", "--frame-time", "0", "--environment", "4", "--json"];
+    let mut window = desktop.open(folder, &[&["--world", "city:blocks=2"], &window[..]].concat());
+    let whole = [0, 0, 200, 150];
+    window.until(&file("maps-first.png"), "picture", |screen| screen.colours(whole) >= 12);
+    window.press("F1");
+    std::thread::sleep(Duration::from_secs(45));
+    let before = window.screen(&file("maps-before.png"));
+    window.press("F9");
+    std::thread::sleep(Duration::from_secs(45));
+    window.until(&file("maps-after.png"), "same picture", |screen| screen.differs(&before, whole) < 0.01);
+    assert!(before.colours(whole) >= 12, "nothing was seen before");
+    window.press("Escape");
+    let outcome = figures(&window.finish());
+    assert_eq!((outcome["devices_lost"].as_u64(), outcome["broken"].as_u64()), (Some(1), Some(0)), "{outcome}");
+    assert!(outcome["maps_made"].as_u64() >= Some(16), "{outcome}");
 }
 
 #[test]

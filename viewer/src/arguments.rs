@@ -22,6 +22,12 @@ use foresight_viewer::connection::Address;
 #[cfg(feature = "draw")]
 use foresight_viewer::draw::environment::EnvironmentSettings;
 use foresight_viewer::fetch::HttpSettings;
+#[cfg(feature = "draw")]
+use foresight_viewer::gpu::Sky;
+#[cfg(feature = "draw")]
+use foresight_viewer::scene::compress::Compression;
+#[cfg(feature = "draw")]
+use foresight_viewer::scene::source::Source;
 use foresight_viewer::session::Plan;
 use foresight_wire::encoding::Encoding;
 use foresight_wire::message;
@@ -40,6 +46,7 @@ use window::WindowArgs;
     foresight-viewer --server http://127.0.0.1:8080 --world mars\n  \
     foresight-viewer --world mars --path flight.jsonl --headless --frames frames\n  \
     foresight-viewer --world mars --environment 2 --memory 1GiB\n  \
+    foresight-viewer --world belt --sky space --textures small\n  \
     foresight-viewer --server http://127.0.0.1:8080 --no-draw --world city:blocks=20 --path steady:speed=10,duration=60\n  \
     foresight-viewer --server http://127.0.0.1:8080 --no-draw --session-world mars --path flight.jsonl --memory 64MiB --json\n  \
     foresight-viewer --server http://127.0.0.1:8080 --no-draw --world city:blocks=20 --clients 100 --rate 30 --no-fetch --duration 30 --loop\n\n\
@@ -106,6 +113,13 @@ pub(crate) struct Cli {
     /// more than eight sides away; auto takes a 64th of the world's largest side. Half the memory is kept for them
     #[arg(long, value_name = "SIDE", num_args = 0..=1, default_missing_value = "auto", value_parser = environment, conflicts_with = "no_draw")]
     environment: Option<EnvironmentWord>,
+    /// How colours, normals and textures are kept on the GPU, where it has block-compressed textures: none (as they are), fine
+    /// (BC7, BC5) or small (BC1, BC3, BC5)
+    #[arg(long, default_value = "none", value_name = "HOW", conflicts_with = "no_draw")]
+    textures: TexturesWord,
+    /// What is behind everything: horizon, space (dark all round), or auto: space where the world has no ground
+    #[arg(long, default_value = "auto", value_name = "WHAT", conflicts_with = "no_draw")]
+    sky: SkyWord,
     /// Threads; as many as there are processors if not given
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
     pub(crate) threads: Option<u32>,
@@ -141,6 +155,20 @@ fn environment(text: &str) -> Result<EnvironmentWord, String> {
     }
     let side = text.parse::<f64>().ok().filter(|side| (1e-3..=1e9).contains(side));
     side.map(EnvironmentWord::Side).ok_or_else(|| format!("`{text}`; expected auto, or metres from 0.001 to 1e9"))
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum TexturesWord {
+    None,
+    Fine,
+    Small,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum SkyWord {
+    Auto,
+    Horizon,
+    Space,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -259,6 +287,26 @@ impl Cli {
             EnvironmentWord::Auto => EnvironmentSettings::for_world(&world.tree.bounds(world.tree.root())),
             EnvironmentWord::Side(side) => EnvironmentSettings::with_side(side),
         })
+    }
+
+    /// What `--textures` says.
+    #[cfg(feature = "draw")]
+    pub(crate) fn compression(&self) -> Compression {
+        match self.textures {
+            TexturesWord::None => Compression::None,
+            TexturesWord::Fine => Compression::Fine,
+            TexturesWord::Small => Compression::Small,
+        }
+    }
+
+    /// What `--sky` says of a world.
+    #[cfg(feature = "draw")]
+    pub(crate) fn sky(&self, world: &World, source: &Source) -> Sky {
+        match self.sky {
+            SkyWord::Auto => source.sky(world),
+            SkyWord::Horizon => Sky::Horizon,
+            SkyWord::Space => Sky::Space,
+        }
     }
 
     /// Memory for what is fetched: half of it where environment maps are asked for.

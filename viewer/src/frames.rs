@@ -61,8 +61,10 @@ pub(crate) fn run(cli: &Cli) -> anyhow::Result<bool> {
         LightWord::Unlit => Light::Unlit,
         LightWord::Sun => Offscreen::sun(&world),
     };
-    let settings = RenderSettings { light, ..Offscreen::settings(&world) };
+    let background = cli.sky(&world, &source).background(world.up);
+    let settings = RenderSettings { light, background, ..Offscreen::settings(&world, &source) };
     let mut offscreen = Offscreen::new(&world, &source, &GpuSettings::default(), settings)?;
+    offscreen.set_compression(cli.compression());
     // With everything resident there is no budget but the machine's.
     let maps_memory = if args.reference { REFERENCE_MAPS } else { cli.memory };
     let flown = Headless {

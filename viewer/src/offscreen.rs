@@ -4,8 +4,9 @@
 use crate::draw::choose::{ChooseSettings, choose};
 use crate::draw::environment::EnvironmentSettings;
 use crate::draw::list::DrawList;
-use crate::gpu::{Background, Environment, EnvironmentCounts, FrameCounts, Gpu, GpuError, GpuSettings, Light, Picture};
+use crate::gpu::{Environment, EnvironmentCounts, FrameCounts, Gpu, GpuError, GpuSettings, Light, Picture};
 use crate::gpu::{RenderSettings, Renderer, Share, Surroundings};
+use crate::scene::compress::Compression;
 use crate::scene::content::Content;
 use crate::scene::decode::decode;
 use crate::scene::source::Source;
@@ -31,6 +32,7 @@ pub struct Offscreen<'a> {
     renderer: Renderer,
     environment: Option<Environment>,
     adapter: String,
+    compression: Compression,
     /// What cannot be shown, and why.
     broken: BTreeMap<RepId, String>,
 }
@@ -48,20 +50,15 @@ impl<'a> Offscreen<'a> {
     ) -> Result<Offscreen<'a>, GpuError> {
         let gpu = Gpu::open(gpu)?;
         let renderer = Renderer::new(&gpu, settings, FORMAT);
-        Ok(Offscreen { world, source, renderer, environment: None, adapter: gpu.name(), broken: BTreeMap::new() })
+        let (adapter, compression) = (gpu.name(), Compression::None);
+        Ok(Offscreen { world, source, renderer, environment: None, adapter, compression, broken: BTreeMap::new() })
     }
 
-    /// The default settings with the sky above this world and four samples a pixel: what is finer than a pixel would make
-    /// even equal scenes unlike.
-    pub fn settings(world: &World) -> RenderSettings {
-        let settings = RenderSettings::default();
-        let background = match settings.background {
-            Background::Sky { zenith, horizon, ground, .. } => {
-                Background::Sky { up: world.up, zenith, horizon, ground }
-            }
-            plain => plain,
-        };
-        RenderSettings { background, samples: 4, ..settings }
+    /// The default settings with the sky of this world and four samples a pixel: what is finer than a pixel would make even
+    /// equal scenes unlike.
+    pub fn settings(world: &World, source: &Source) -> RenderSettings {
+        let background = source.sky(world).background(world.up);
+        RenderSettings { background, samples: 4, ..RenderSettings::default() }
     }
 
     /// A sun that stands high over this world, to one side.
@@ -69,6 +66,11 @@ impl<'a> Offscreen<'a> {
         let (across, along) = world.up.any_orthonormal_pair();
         let towards = (world.up + 0.6 * across + 0.35 * along).normalize_or(world.up);
         Light::Sun { towards, ambient: 0.35 }
+    }
+
+    /// Contents that are decoded from now on are compressed so, as far as the adapter has textures of blocks.
+    pub fn set_compression(&mut self, compression: Compression) {
+        self.compression = self.renderer.compression(compression);
     }
 
     /// The adapter's name.
@@ -176,10 +178,11 @@ impl<'a> Offscreen<'a> {
     }
 
     fn take(&mut self, batch: &[RepId]) -> Result<(), GpuError> {
-        let (world, source) = (self.world, self.source);
+        let (world, source, compression) = (self.world, self.source, self.compression);
         let content = |rep| {
             let bytes = source.bytes(world, rep).map_err(|error| error.to_string())?;
-            decode(world, source, rep, &bytes).map(|decoded| decoded.content).map_err(|error| error.to_string())
+            let decoded = decode(world, source, rep, &bytes).map_err(|error| error.to_string())?;
+            Ok(decoded.content.compressed(compression))
         };
         let contents: Vec<(RepId, Result<Content, String>)> =
             batch.par_iter().map(|&rep| (rep, content(rep))).collect();

@@ -44,6 +44,7 @@ pub(crate) fn run(cli: &Cli) -> anyhow::Result<bool> {
         None => local(cli, &world)?,
     };
     let (memory, environment) = (cli.memory, cli.environment(&world));
+    let (compression, sky) = (cli.compression(), cli.sky(&world, &source));
     let outcome = window::run(WindowSettings {
         world: Arc::new(world),
         source: Arc::new(source),
@@ -62,6 +63,8 @@ pub(crate) fn run(cli: &Cli) -> anyhow::Result<bool> {
         size: cli.path_args.viewport(),
         captures: args.captures.clone(),
         frame_s: args.frame_time.filter(|&ms| ms > 0.0).map(|ms| ms * 1e-3),
+        compression,
+        sky,
         clock: Clock::start(),
     })?;
     print(cli.json, &outcome, text)?;

@@ -162,12 +162,15 @@ impl Rig {
         self.pivot
     }
 
-    /// Moves otherwise from now on. An orbit goes around the first thing straight ahead, else around the world's middle.
+    /// Moves otherwise from now on. Walking begins on the ground below; from outside of the world's box, at the nearest place in
+    /// it. An orbit goes around the first thing straight ahead, else around the world's middle.
     pub fn set_mode(&mut self, mode: Mode, around: &impl Surroundings) {
         self.mode = mode;
         self.velocity = DVec3::ZERO;
         self.groundless = mode == Mode::Walk && around.ground(self.position).is_none();
-        if mode == Mode::Walk {
+        if mode == Mode::Walk && !self.groundless {
+            let bounds = around.bounds();
+            self.position = self.position.clamp(bounds.min, bounds.max);
             self.stand(around);
         }
         if mode == Mode::Orbit {

@@ -83,6 +83,10 @@ fn who_walks_stays_on_the_ground() {
     // 10 s at 8 m/s along the level heading, less the lag.
     let walked = (rig.position - DVec3::new(30.0, -40.0, 0.0)).truncate().length();
     assert!((walked - (80.0 - 8.0 * LAG_S)).abs() < 1e-6, "{walked}");
+    // From far outside to the edge of the world.
+    let outside = looking(DVec3::new(900.0, -40.0, 700.0), 0.4, -0.5, Mode::Walk);
+    let edge = DVec3::new(500.0, -40.0, 3.0 * libm::sin(25.0) + EYES);
+    assert!((outside.position - edge).length() < 1e-9, "{}", outside.position);
     let space = Hills { has_ground: false };
     let mut rig = Rig::at(&pose(&looking(DVec3::new(100.0, 0.0, 50.0), 0.0, 0.0, Mode::Fly)), Mode::Walk, &space);
     assert!(rig.is_groundless());

@@ -1,10 +1,9 @@
 //! Triangles on the GPU: a buffer of vertices, one of indices, and a texture a part.
 
-use super::compress;
 use super::device::GpuError;
 use super::pipelines::{Layouts, Pipelines};
-use super::settings::Compression;
-use crate::scene::content::{Mesh, TextureImage};
+use super::texels::{check_kept, format};
+use crate::scene::content::{Mesh, Texels, TextureImage};
 use glam::DVec3;
 use wgpu::util::DeviceExt;
 
@@ -49,35 +48,30 @@ impl Shared {
             mipmap_filter: wgpu::MipmapFilterMode::Linear,
             ..Default::default()
         });
-        let image = TextureImage { size: [1, 1], texels: vec![255; 4] };
-        Shared { sampler, white: texture(device, queue, &image, Compression::None).0 }
+        let image = TextureImage { size: [1, 1], texels: vec![255; 4], kept: Texels::Plain };
+        Shared { sampler, white: texture(device, queue, &image).0 }
     }
 }
 
 /// An image with the mips that it has, and its bytes.
-fn texture(
-    device: &wgpu::Device,
-    queue: &wgpu::Queue,
-    image: &TextureImage,
-    compression: Compression,
-) -> (wgpu::TextureView, u64) {
-    let plane = compress::levels(image, compression);
+fn texture(device: &wgpu::Device, queue: &wgpu::Queue, image: &TextureImage) -> (wgpu::TextureView, u64) {
     let descriptor = wgpu::TextureDescriptor {
         label: Some("texture"),
         size: wgpu::Extent3d { width: image.size[0], height: image.size[1], depth_or_array_layers: 1 },
         mip_level_count: image.levels().count() as u32,
         sample_count: 1,
         dimension: wgpu::TextureDimension::D2,
-        format: plane.format,
+        format: format(image.kept),
         usage: wgpu::TextureUsages::TEXTURE_BINDING,
         view_formats: &[],
     };
     let order = wgpu::wgt::TextureDataOrder::LayerMajor;
-    let texture = device.create_texture_with_data(queue, &descriptor, order, &plane.data);
-    (texture.create_view(&wgpu::TextureViewDescriptor::default()), plane.data.len() as u64)
+    let texture = device.create_texture_with_data(queue, &descriptor, order, &image.texels);
+    (texture.create_view(&wgpu::TextureViewDescriptor::default()), image.texels.len() as u64)
 }
 
-fn check(mesh: &Mesh, limits: &wgpu::Limits) -> Result<(), GpuError> {
+fn check(mesh: &Mesh, device: &wgpu::Device) -> Result<(), GpuError> {
+    let limits = device.limits();
     let vertices = mesh.vertices.len() as u64;
     let buffers = [
         ("bytes of a mesh's vertices", size_of_val(mesh.vertices.as_slice()) as u64),
@@ -108,6 +102,14 @@ fn check(mesh: &Mesh, limits: &wgpu::Limits) -> Result<(), GpuError> {
         }
     }
     for texture in &mesh.textures {
+        let kept = [Texels::Plain, Texels::Bc1, Texels::Bc3, Texels::Bc7];
+        check_kept(device, "a texture", texture.kept, &kept)?;
+        if texture.kept != Texels::Plain
+            && let Some(side) = texture.size.into_iter().find(|side| !side.is_multiple_of(4))
+        {
+            let (found, expected) = (side.into(), side.next_multiple_of(4).into());
+            return Err(GpuError::Content { what: "a side of a texture of blocks", found, expected });
+        }
         let (found, expected) = (texture.texels.len(), texture.levels().map(|(_, texels)| texels.len()).sum::<usize>());
         if found != expected || expected == 0 {
             let (found, expected) = (found as u64, expected as u64);
@@ -130,11 +132,8 @@ impl Triangles {
         layouts: &Layouts,
         shared: &Shared,
         mesh: &Mesh,
-        compression: Compression,
     ) -> Result<Option<Triangles>, GpuError> {
-        check(mesh, &device.limits())?;
-        let has_blocks = device.features().contains(wgpu::Features::TEXTURE_COMPRESSION_BC);
-        let compression = if has_blocks { compression } else { Compression::None };
+        check(mesh, device)?;
         if mesh.indices.len() < 3 || mesh.parts.is_empty() {
             return Ok(None);
         }
@@ -168,7 +167,7 @@ impl Triangles {
         };
         let mut groups: Vec<wgpu::BindGroup> = Vec::with_capacity(mesh.textures.len() + 1);
         for image in &mesh.textures {
-            let (view, size) = texture(device, queue, image, compression);
+            let (view, size) = texture(device, queue, image);
             groups.push(group(&view));
             bytes += size;
         }

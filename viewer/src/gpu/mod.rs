@@ -3,7 +3,6 @@
 //! [`Gpu`] is an adapter and its device; a [`Renderer`] keeps what is uploaded and draws a
 //! [`DrawList`](crate::draw::list::DrawList). World positions are f64 up to [`relative`], the one place that narrows them.
 
-mod compress;
 pub mod device;
 mod distance;
 pub mod environment;
@@ -18,6 +17,7 @@ pub mod reproject;
 pub mod settings;
 mod splats;
 mod targets;
+mod texels;
 
 pub use device::{Gpu, GpuError, GpuSettings};
 pub use environment::{Environment, EnvironmentCounts, Share, Surroundings};
@@ -25,4 +25,4 @@ pub use occlusion::OcclusionCounts;
 pub use picture::Picture;
 pub use renderer::{FrameCounts, Renderer};
 pub use reproject::{FadeSettings, Reprojection};
-pub use settings::{Background, Compression, Light, RenderSettings, SplatShape};
+pub use settings::{Background, Light, RenderSettings, Sky, SplatShape};

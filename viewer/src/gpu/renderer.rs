@@ -12,6 +12,7 @@ use super::splats::{Splats, shared_indices};
 use super::targets::{Targets, fitting};
 use crate::draw::list::{ALL_TILES, DrawList, Item};
 use crate::draw::tiles::tiles_in_view;
+use crate::scene::compress::Compression;
 use crate::scene::content::Content;
 use crate::scene::resident::Uploads;
 use foresight_scheduler::benefit::frustum::Frustum;
@@ -173,7 +174,13 @@ impl Renderer {
         &mut self.settings
     }
 
-    /// Uploads a content in place of what was there, and gives its bytes on the GPU.
+    /// What contents may be compressed to for this renderer, if `wanted` is wished for.
+    pub fn compression(&self, wanted: Compression) -> Compression {
+        let has_blocks = self.device.features().contains(wgpu::Features::TEXTURE_COMPRESSION_BC);
+        if has_blocks { wanted } else { Compression::None }
+    }
+
+    /// Uploads a content in place of what was there, as it is kept, and gives its bytes on the GPU.
     ///
     /// # Errors
     /// A content beyond the adapter's limits or at odds with itself, no memory left, a lost device: then the
@@ -184,12 +191,10 @@ impl Renderer {
         let memory = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let (device, queue) = (&self.device, &self.queue);
         let made = match content {
-            Content::Splats(image) => Splats::upload(device, queue, &self.layouts, image, self.settings.compression)
+            Content::Splats(image) => Splats::upload(device, queue, &self.layouts, image)
                 .map(|splats| splats.map(|splats| Uploaded::Splats(Box::new(splats)))),
-            Content::Mesh(mesh) => {
-                Triangles::upload(device, queue, &self.layouts, &self.meshes, mesh, self.settings.compression)
-                    .map(|triangles| triangles.map(Uploaded::Triangles))
-            }
+            Content::Mesh(mesh) => Triangles::upload(device, queue, &self.layouts, &self.meshes, mesh)
+                .map(|triangles| triangles.map(Uploaded::Triangles)),
             Content::Empty => Ok(None),
         };
         if let Some(error) = pollster::block_on(memory.pop()) {

@@ -77,32 +77,28 @@ pub enum Background {
 
 impl Default for Background {
     fn default() -> Background {
-        Background::Sky { up: DVec3::Z, zenith: [88, 132, 190], horizon: [206, 220, 232], ground: [120, 116, 110] }
+        Sky::default().background(DVec3::Z)
     }
 }
 
-/// How orthoviews are kept on the GPU. Depths and links are kept as they are, 2 bytes a pixel.
+/// What is behind a world.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Compression {
-    /// Colours in 4 bytes a pixel, normals in 2.
+pub enum Sky {
+    /// A bright sky over a horizon, and the ground's colour below.
     #[default]
-    None,
-    /// Colours in BC1 blocks, half a byte a pixel; normals in BC5 blocks, a byte.
-    Small,
-    /// Colours in BC7 blocks, a byte a pixel; normals in BC5 blocks, a byte.
-    Fine,
+    Horizon,
+    /// Nearly black all round: worlds without ground have no horizon.
+    Space,
 }
 
-impl Compression {
-    /// All, from the largest to the smallest.
-    pub const ALL: [Compression; 3] = [Compression::None, Compression::Fine, Compression::Small];
-
-    /// Its name in tables and arguments.
-    pub fn name(self) -> &'static str {
+impl Sky {
+    /// Its colours in a world where `up` is upwards.
+    pub fn background(self, up: DVec3) -> Background {
         match self {
-            Compression::None => "none",
-            Compression::Small => "small",
-            Compression::Fine => "fine",
+            Sky::Horizon => {
+                Background::Sky { up, zenith: [88, 132, 190], horizon: [206, 220, 232], ground: [120, 116, 110] }
+            }
+            Sky::Space => Background::Plain([11, 13, 20]),
         }
     }
 }
@@ -122,8 +118,6 @@ pub struct RenderSettings {
     pub near: f64,
     /// Whether tiles of orthoviews that are hidden by others are left out, where the adapter can tell. It changes no picture.
     pub occlusion: bool,
-    /// Of orthoviews uploaded from now on; without effect where the adapter has no such blocks.
-    pub compression: Compression,
 }
 
 impl Default for RenderSettings {
@@ -135,7 +129,6 @@ impl Default for RenderSettings {
             samples: 1,
             near: 0.1,
             occlusion: true,
-            compression: Compression::default(),
         }
     }
 }

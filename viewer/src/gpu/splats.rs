@@ -1,13 +1,11 @@
 //! Orthoviews on the GPU: three textures, and what is known of their tiles.
 
-use super::compress::{Plane, colours, normals};
 use super::device::GpuError;
 use super::item::Lattice;
 use super::pipelines::Layouts;
-use super::settings::Compression;
-use crate::scene::content::SplatImage;
+use super::texels::{check_kept, format};
+use crate::scene::content::{SplatImage, Texels};
 use foresight_scheduler::lod_tree::Aabb;
-use std::borrow::Cow;
 use std::ops::Range;
 use wgpu::util::DeviceExt;
 
@@ -49,17 +47,20 @@ pub(crate) struct Splats {
     pub(crate) bytes: u64,
 }
 
-fn check(image: &SplatImage, limits: &wgpu::Limits) -> Result<(), GpuError> {
+fn check(image: &SplatImage, device: &wgpu::Device) -> Result<(), GpuError> {
     let [columns, rows] = image.size;
-    let most = limits.max_texture_dimension_2d;
+    let most = device.limits().max_texture_dimension_2d;
     if let Some(&side) = image.size.iter().find(|&&side| side > most) {
         return Err(GpuError::TooLarge { what: "a side of an orthoview", found: side.into(), most: most.into() });
     }
-    let pixels = u64::from(columns) * u64::from(rows);
+    check_kept(device, "an orthoview's colours", image.colours_kept, &[Texels::Plain, Texels::Bc1, Texels::Bc7])?;
+    check_kept(device, "an orthoview's normals", image.normals_kept, &[Texels::Plain, Texels::Bc5])?;
+    let colours = image.colours_kept.bytes(image.size, 4);
+    let normals = if image.normals.is_empty() { 0 } else { image.normals_kept.bytes(image.size, 2) };
     let planes = [
-        ("bytes of an orthoview's colours", image.colours.len(), 4 * pixels),
-        ("an orthoview's shapes", image.shapes.len(), pixels),
-        ("bytes of an orthoview's normals", image.normals.len(), if image.normals.is_empty() { 0 } else { 2 * pixels }),
+        ("bytes of an orthoview's colours", image.colours.len(), colours),
+        ("an orthoview's shapes", image.shapes.len(), u64::from(columns) * u64::from(rows)),
+        ("bytes of an orthoview's normals", image.normals.len(), normals),
     ];
     match planes.into_iter().find(|&(_, found, expected)| found as u64 != expected) {
         Some((what, found, expected)) => Err(GpuError::Content { what, found: found as u64, expected }),
@@ -74,35 +75,40 @@ impl Splats {
         queue: &wgpu::Queue,
         layouts: &Layouts,
         image: &SplatImage,
-        compression: Compression,
     ) -> Result<Option<Splats>, GpuError> {
-        check(image, &device.limits())?;
+        check(image, device)?;
         if image.shapes.is_empty() {
             return Ok(None);
         }
         let mut bytes = 0;
-        let mut texture = |label, plane: Plane<'_>| {
+        let mut texture = |label, format, [width, height]: [u32; 2], data: &[u8]| {
             let descriptor = wgpu::TextureDescriptor {
                 label: Some(label),
-                size: wgpu::Extent3d { width: plane.size[0], height: plane.size[1], depth_or_array_layers: 1 },
+                size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
                 mip_level_count: 1,
                 sample_count: 1,
                 dimension: wgpu::TextureDimension::D2,
-                format: plane.format,
+                format,
                 usage: wgpu::TextureUsages::TEXTURE_BINDING,
                 view_formats: &[],
             };
-            bytes += plane.data.len() as u64;
+            bytes += data.len() as u64;
             let order = wgpu::wgt::TextureDataOrder::LayerMajor;
-            let texture = device.create_texture_with_data(queue, &descriptor, order, &plane.data);
+            let texture = device.create_texture_with_data(queue, &descriptor, order, data);
             texture.create_view(&wgpu::TextureViewDescriptor::default())
         };
-        let has_blocks = device.features().contains(wgpu::Features::TEXTURE_COMPRESSION_BC);
-        let compression = if has_blocks { compression } else { Compression::None };
-        let data = Cow::Borrowed(bytemuck::cast_slice(&image.shapes));
-        let colours = texture("colours", colours(image, compression));
-        let shapes = texture("shapes", Plane { format: wgpu::TextureFormat::R16Uint, size: image.size, data });
-        let normals = texture("normals", normals(image, compression));
+        // A texture of blocks is of whole ones.
+        let sized =
+            |kept| if kept == Texels::Plain { image.size } else { image.size.map(|side| side.next_multiple_of(4)) };
+        let colours = texture("colours", format(image.colours_kept), sized(image.colours_kept), &image.colours);
+        let shapes = bytemuck::cast_slice(&image.shapes);
+        let shapes = texture("shapes", wgpu::TextureFormat::R16Uint, image.size, shapes);
+        let normals = match (image.normals.as_slice(), image.normals_kept) {
+            // One pixel, of which nothing is read.
+            ([], _) => texture("normals", wgpu::TextureFormat::Rg8Unorm, [1, 1], &[128, 128]),
+            (normals, Texels::Plain) => texture("normals", wgpu::TextureFormat::Rg8Unorm, image.size, normals),
+            (normals, kept) => texture("normals", format(kept), sized(kept), normals),
+        };
         let entry =
             |binding, view| wgpu::BindGroupEntry { binding, resource: wgpu::BindingResource::TextureView(view) };
         let group = device.create_bind_group(&wgpu::BindGroupDescriptor {

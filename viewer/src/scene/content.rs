@@ -51,12 +51,16 @@ pub struct SplatImage {
     pub range: f64,
     /// Columns and rows.
     pub size: [u32; 2],
-    /// sRGB, four bytes a pixel, the fourth 255.
+    /// sRGB, four bytes a pixel, the fourth 255; or blocks of them.
     pub colours: Vec<u8>,
+    /// How the colours are kept: plain, BC1 or BC7.
+    pub colours_kept: Texels,
     /// Low ten bits: steps of the depth; upper six: [`foresight_index::orthoview::connectivity::Links::bits`]. One a pixel.
     pub shapes: Vec<u16>,
-    /// On the octahedron, two bytes a pixel; empty where the file has none.
+    /// On the octahedron, two bytes a pixel, or blocks of them; empty where the file has none.
     pub normals: Vec<u8>,
+    /// How the normals are kept: plain or BC5.
+    pub normals_kept: Texels,
     /// Box of the cell, metres in the world.
     pub bounds: Aabb,
 }
@@ -112,6 +116,38 @@ pub struct Part {
 pub struct TextureImage {
     /// Columns and rows.
     pub size: [u32; 2],
-    /// sRGB and opacity, four bytes a texel, first row first; behind the finest level its mips ([`TextureImage::levels`]).
+    /// sRGB and opacity, four bytes a texel, first row first, or blocks of them; behind the finest level its mips
+    /// ([`TextureImage::levels`]).
     pub texels: Vec<u8>,
+    /// How they are kept: plain, BC1, BC3 or BC7.
+    pub kept: Texels,
+}
+
+/// How a plane's texels are kept. A block is of 4 × 4 texels; the last column and row are repeated to whole blocks.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Texels {
+    /// One after the other.
+    #[default]
+    Plain,
+    /// Opaque colours, 8 bytes a block.
+    Bc1,
+    /// Colours and opacity, 16 bytes a block.
+    Bc3,
+    /// Two numbers, 16 bytes a block.
+    Bc5,
+    /// Colours and opacity, finer, 16 bytes a block.
+    Bc7,
+}
+
+impl Texels {
+    /// Bytes of so many columns and rows, with `each` bytes of a plain texel.
+    pub fn bytes(self, size: [u32; 2], each: u64) -> u64 {
+        let area = |size: [u32; 2]| u64::from(size[0]) * u64::from(size[1]);
+        let blocks = area(size.map(|side| side.div_ceil(4)));
+        match self {
+            Texels::Plain => area(size).saturating_mul(each),
+            Texels::Bc1 => 8 * blocks,
+            Texels::Bc3 | Texels::Bc5 | Texels::Bc7 => 16 * blocks,
+        }
+    }
 }

@@ -1,6 +1,6 @@
 //! Bytes of a representation to what is drawn.
 
-use super::content::{Content, Mesh, Part, SplatImage, Vertex};
+use super::content::{Content, Mesh, Part, SplatImage, Texels, Vertex};
 use super::source::{Placing, Source};
 use super::texture;
 use foresight_index::format::orthoview::{self, DecodedPlanes, depth_error};
@@ -141,6 +141,8 @@ fn splats(bytes: &[u8], octree: &Octree, pitch: f64, cell: Cell, code: u8) -> Re
         colours: planes.colours.as_chunks::<3>().0.iter().flat_map(|&[r, g, b]| [r, g, b, 255]).collect(),
         shapes: planes.depths.iter().zip(&planes.links).map(|(depth, links)| depth | u16::from(*links) << 10).collect(),
         normals: planes.normals,
+        colours_kept: Texels::Plain,
+        normals_kept: Texels::Plain,
         bounds,
     })
 }

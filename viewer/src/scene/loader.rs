@@ -1,6 +1,7 @@
 //! Threads that read and decode contents, the most wanted first.
 
-use super::decode::{Decoded, decode};
+use super::compress::Compression;
+use super::decode::{DecodeError, Decoded, decode};
 use super::source::Source;
 use bytes::Bytes;
 use foresight_index::world::World;
@@ -76,6 +77,8 @@ struct State {
     finished: Vec<Loaded>,
     finished_bytes: u64,
     next: u64,
+    /// Of what is decoded from now on.
+    compression: Compression,
     is_over: bool,
 }
 
@@ -115,6 +118,11 @@ impl Loader {
             loader.threads.push(thread);
         }
         Ok(loader)
+    }
+
+    /// Contents that are decoded from now on are compressed so, by the threads that decode them.
+    pub fn set_compression(&self, compression: Compression) {
+        self.shared.lock().compression = compression;
     }
 
     /// Asks for a representation, of `rank`: what is larger comes first. One that is asked for already is ranked anew. Returns what was
@@ -235,8 +243,8 @@ impl Shared {
     }
 
     fn work(&self) {
-        while let Some((rep, input)) = self.next() {
-            let loaded = self.load(rep, input);
+        while let Some((rep, input, compression)) = self.next() {
+            let loaded = self.load(rep, input, compression);
             let mut state = self.lock();
             if state.working.remove(&rep).unwrap_or(false) {
                 state.finished_bytes += bytes_of(&loaded);
@@ -247,7 +255,7 @@ impl Shared {
         }
     }
 
-    fn next(&self) -> Option<(RepId, Input)> {
+    fn next(&self) -> Option<(RepId, Input, Compression)> {
         let mut state = self.lock();
         loop {
             if state.is_over {
@@ -257,13 +265,13 @@ impl Shared {
             if has_room && let Some((_, (rep, input))) = state.waiting.pop_first() {
                 state.keys.remove(&rep);
                 state.working.insert(rep, true);
-                return Some((rep, input));
+                return Some((rep, input, state.compression));
             }
             state = self.work.wait(state).unwrap_or_else(PoisonError::into_inner);
         }
     }
 
-    fn load(&self, rep: RepId, input: Input) -> Loaded {
+    fn load(&self, rep: RepId, input: Input, compression: Compression) -> Loaded {
         let (bytes, read) = match input {
             Input::Bytes(bytes) => (bytes, false),
             Input::Source => match self.source.bytes(&self.world, rep) {
@@ -272,9 +280,12 @@ impl Shared {
             },
         };
         // A fault of a decoder ends one content, not the program.
-        let decoded = catch_unwind(AssertUnwindSafe(|| decode(&self.world, &self.source, rep, &bytes)));
+        let decoded = catch_unwind(AssertUnwindSafe(|| {
+            let decoded = decode(&self.world, &self.source, rep, &bytes)?;
+            Ok(Decoded { content: decoded.content.compressed(compression), ..decoded })
+        }));
         let result = match decoded {
-            Ok(result) => result.map_err(|error| error.to_string()),
+            Ok(result) => result.map_err(|error: DecodeError| error.to_string()),
             Err(_) => Err(format!("representation {} ({}): its decoder failed", rep.0, self.world.uri(rep))),
         };
         Loaded { rep, bytes: read.then_some(bytes), result }
@@ -284,6 +295,7 @@ impl Shared {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::content::{Content, Texels};
 
     fn city() -> (Arc<World>, Arc<Source>) {
         let (world, source) = Source::open("city:blocks=1").expect("a city");
@@ -322,6 +334,37 @@ mod tests {
         // Threads may have taken some before they were ranked; from there on ranks fall.
         let tail: Vec<u32> = order.iter().copied().filter(|&rep| rep != 2).skip(16).collect();
         assert!(tail.is_sorted_by(|a, b| a > b), "{order:?}");
+    }
+
+    #[test]
+    fn contents_come_compressed_from_the_threads_that_decode_them() {
+        let (world, source) = city();
+        let loader = Loader::new(world.clone(), source.clone(), LoaderSettings::default()).expect("threads");
+        let textures = |content: &Content| match content {
+            Content::Mesh(mesh) => mesh.textures.clone(),
+            _ => Vec::new(),
+        };
+        let mut compressed = 0;
+        for compression in Compression::ALL {
+            loader.set_compression(compression);
+            for rep in (0..world.tree.representations() as u32).map(RepId) {
+                loader.ask(rep, 0.0, Input::Source);
+            }
+            loop {
+                let loaded = loader.wait();
+                if loaded.is_empty() {
+                    break;
+                }
+                for Loaded { rep, bytes, result } in loaded {
+                    let bytes = bytes.expect("read there");
+                    let found = textures(&result.expect("a content").content);
+                    let plain = decode(&world, &source, rep, &bytes).expect("a content").content;
+                    assert_eq!(found, textures(&plain.compressed(compression)), "{rep:?}, {compression:?}");
+                    compressed += found.iter().filter(|texture| texture.kept != Texels::Plain).count();
+                }
+            }
+        }
+        assert!(compressed > 0);
     }
 
     #[test]

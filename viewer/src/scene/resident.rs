@@ -4,6 +4,7 @@
 //! is dropped from the GPU is told from outside: [`Resident::discard`]. Where the budget is short otherwise, bytes that came go first,
 //! the least wanted before others, then decoded contents that wait; a content that does not fit even then is refused with a word.
 
+use super::compress::Compression;
 use super::content::Content;
 use super::decode::Decoded;
 use super::loader::{Input, Loaded, Loader};
@@ -129,6 +130,11 @@ impl Resident {
     pub fn set_settings(&mut self, settings: ResidentSettings) {
         self.settings = settings;
         self.make_room(0, None);
+    }
+
+    /// Contents that are decoded from now on are compressed so.
+    pub fn set_compression(&mut self, compression: Compression) {
+        self.loader.set_compression(compression);
     }
 
     /// Bytes of a representation that came over the network; decoded and uploaded as `rank` says, larger first.

@@ -1,5 +1,5 @@
 use super::*;
-use crate::scene::content::SplatImage;
+use crate::scene::content::{SplatImage, Texels};
 use crate::scene::loader::LoaderSettings;
 use crate::scene::source::Source;
 use foresight_index::orthoview::Direction;
@@ -65,6 +65,8 @@ fn splats(side: u32) -> Decoded {
         colours: vec![255; 4 * pixels],
         shapes: vec![0; pixels],
         normals: vec![0; 2 * pixels],
+        colours_kept: Texels::Plain,
+        normals_kept: Texels::Plain,
         bounds: Aabb { min: DVec3::ZERO, max: DVec3::ONE },
     });
     Decoded { content, credit: Some("somebody".into()), left_out: Vec::new() }

@@ -1,10 +1,12 @@
 //! Where contents come from, and where in the world they stand: a world's folder, or a generated world whose contents are made when they
 //! are asked for.
 
+use crate::gpu::Sky;
 use foresight_index::generate::asteroids::{AsteroidContents, AsteroidParams};
 use foresight_index::generate::city::CityParams;
 use foresight_index::generate::city::geometry::CityContents;
 use foresight_index::generate::document::{GenerateError, Params, from_parts, parse};
+use foresight_index::ground::Ground;
 use foresight_index::import::cityjson::CityModelContents;
 use foresight_index::import::tiles3d::TileContents;
 use foresight_index::octree::Octree;
@@ -80,6 +82,8 @@ pub struct Source {
     placing: Placing,
     bytes: Bytes,
     credit: Option<String>,
+    /// Whether all that the world was built from says that it is in space.
+    in_space: bool,
 }
 
 /// Bytes that are not to be had.
@@ -147,16 +151,17 @@ impl Source {
             Some(octree) => Placing::Stored { octree, pixel: document.orthoviews.pixel },
             None => Placing::Nowhere("the world's document has no octree; expected origin, leaf_side and splits"),
         };
-        Source::in_folder(folder, placing)
+        let in_space = are_in_space(document.inputs.iter().map(|input| input.name.as_str()));
+        Source { in_space, ..Source::in_folder(folder, placing) }
     }
 
     pub(super) fn in_folder(folder: &Path, placing: Placing) -> Source {
-        Source { placing, bytes: Bytes::Folder(folder.to_owned()), credit: None }
+        Source { placing, bytes: Bytes::Folder(folder.to_owned()), credit: None, in_space: false }
     }
 
     fn tiles(tiles: TileContents) -> Source {
         let credit = tiles.credit().map(str::to_owned);
-        Source { placing: Placing::Tiles(Box::new(tiles)), bytes: Bytes::Tiles, credit }
+        Source { placing: Placing::Tiles(Box::new(tiles)), bytes: Bytes::Tiles, credit, in_space: false }
     }
 
     fn city(params: &CityParams) -> Result<(World, Source), WorldError> {
@@ -174,7 +179,7 @@ impl Source {
     }
 
     fn made(made: Made) -> Source {
-        Source { placing: Placing::Made(made), bytes: Bytes::None, credit: None }
+        Source { placing: Placing::Made(made), bytes: Bytes::None, credit: None, in_space: false }
     }
 
     fn mosaic(rest: &str, name: &str) -> Result<(World, Source), WorldError> {
@@ -190,7 +195,7 @@ impl Source {
     }
 
     fn sizes_only() -> Source {
-        Source { placing: Placing::Nowhere(SIZES_ONLY), bytes: Bytes::None, credit: None }
+        Source { placing: Placing::Nowhere(SIZES_ONLY), bytes: Bytes::None, credit: None, in_space: false }
     }
 
     /// How contents lie in the world.
@@ -204,6 +209,12 @@ impl Source {
             Placing::Nowhere(why) => Some(why),
             _ => None,
         }
+    }
+
+    /// What is behind the world: space where it has no ground, as a world of asteroids says of itself, and one built from
+    /// `asteroids:…`.
+    pub fn sky(&self, world: &World) -> Sky {
+        if self.in_space || matches!(world.ground, Ground::Absent) { Sky::Space } else { Sky::Horizon }
     }
 
     /// Whose the world is, as it says itself.
@@ -239,6 +250,12 @@ impl Source {
     }
 }
 
+/// Whether all of a world's inputs, as they were named, are in space.
+fn are_in_space<'a>(names: impl Iterator<Item = &'a str>) -> bool {
+    let mut kinds = names.map(|name| name.split(':').next() == Some("asteroids")).peekable();
+    kinds.peek().is_some() && kinds.all(|is_in_space| is_in_space)
+}
+
 /// The parameters of a generated world whose document, or its folder, is at `path`.
 fn document<P: Params>(path: &Path) -> Result<P, WorldError> {
     let file = if path.is_dir() { path.join(P::FILE_NAME) } else { path.to_owned() };
@@ -272,4 +289,29 @@ pub(super) fn inflated(bytes: &[u8]) -> Result<Option<Vec<u8>>, String> {
         return Err(format!("gzip of more than {BYTES_MAX} bytes; expected at most that"));
     }
     Ok(Some(plain))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn worlds_without_ground_are_in_space() {
+        let sky = |name: &str| {
+            let (world, source) = Source::open(name).expect("a world");
+            source.sky(&world)
+        };
+        assert_eq!(sky("asteroids:count=3,triangles=300"), Sky::Space);
+        assert_eq!(sky("city:blocks=1"), Sky::Horizon);
+        assert_eq!(sky("terrain:size=3km,resolution=20m"), Sky::Horizon);
+        let cases: [(&[&str], bool); 4] = [
+            (&["asteroids:count=3", "asteroids"], true),
+            (&["asteroids:count=3", "city"], false),
+            (&["asteroids.json"], false),
+            (&[], false),
+        ];
+        for (names, expected) in cases {
+            assert_eq!(are_in_space(names.iter().copied()), expected, "{names:?}");
+        }
+    }
 }

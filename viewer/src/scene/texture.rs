@@ -1,6 +1,6 @@
 //! Images of meshes, with their mips.
 
-use super::content::TextureImage;
+use super::content::{Texels, TextureImage};
 use foresight_index::orthoview::texture::{Material, encoded, linear};
 use image::{ImageReader, Limits, RgbaImage};
 use std::collections::BTreeMap;
@@ -72,15 +72,15 @@ impl TextureImage {
             (level, finer) = halved(level, &finer);
             all.extend_from_slice(&finer);
         }
-        TextureImage { size, texels: all }
+        TextureImage { size, texels: all, kept: Texels::Plain }
     }
 
-    /// Size and texels of each level that there is, from the finest on: half of the one before, rounded down, at least 1.
+    /// Size and texels, or blocks, of each level that there is, from the finest on: half of the one before, rounded down, at least 1.
     pub fn levels(&self) -> impl Iterator<Item = ([u32; 2], &[u8])> {
         let (mut size, mut rest) = (Some(self.size), self.texels.as_slice());
         std::iter::from_fn(move || {
             let own = size?;
-            let (texels, after) = rest.split_at_checked(4 * own[0] as usize * own[1] as usize)?;
+            let (texels, after) = rest.split_at_checked(usize::try_from(self.kept.bytes(own, 4)).ok()?)?;
             rest = after;
             size = (own != [1, 1]).then(|| own.map(|side| (side / 2).max(1)));
             Some((own, texels))

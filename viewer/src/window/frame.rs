@@ -14,7 +14,7 @@ use crate::draw::controller::{Controller, ControllerSettings};
 use crate::draw::environment::EnvironmentSettings;
 use crate::draw::list::DrawList;
 use crate::exchange::{Exchange, Link};
-use crate::gpu::{Background, FrameCounts, GpuError, RenderSettings, Share, Surroundings};
+use crate::gpu::{FrameCounts, GpuError, RenderSettings, Share, Surroundings};
 use crate::overlay::colours::{self, FalseColour};
 use crate::overlay::{Facts, Look, show};
 use crate::statistics::Histogram;
@@ -100,7 +100,7 @@ impl<'a> Flyer<'a> {
                 maps: settings.environment.is_some(),
                 ..Look::default()
             },
-            stage: Stage::new(&settings.world, &settings.source, settings.contents_memory)?,
+            stage: Stage::new(&settings.world, &settings.source, settings.contents_memory, settings.compression)?,
             list: DrawList::default(),
             controller: Controller::new(ControllerSettings::new(frame_s)).ok(),
             recorder: None,
@@ -129,13 +129,10 @@ impl<'a> Flyer<'a> {
     /// How things are drawn now.
     pub(super) fn render_settings(&self) -> RenderSettings {
         let up = self.settings.world.up;
-        let settings = RenderSettings::default();
-        let background = match settings.background {
-            Background::Sky { zenith, horizon, ground, .. } => Background::Sky { up, zenith, horizon, ground },
-            plain => plain,
-        };
+        let background = self.settings.sky.background(up);
         let samples = if self.look.smooth { 4 } else { 1 };
-        RenderSettings { shape: self.look.shape, light: self.look.light(up), samples, background, ..settings }
+        let (shape, light) = (self.look.shape, self.look.light(up));
+        RenderSettings { shape, light, samples, background, ..RenderSettings::default() }
     }
 
     pub(super) fn adapter(&mut self, name: String) {

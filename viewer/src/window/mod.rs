@@ -17,7 +17,8 @@ use crate::controls::rig::Mode;
 use crate::draw::environment::EnvironmentSettings;
 use crate::exchange::{Exchange, Link, Status};
 use crate::fetch::Http;
-use crate::gpu::GpuError;
+use crate::gpu::{GpuError, Sky};
+use crate::scene::compress::Compression;
 use crate::scene::source::Source;
 use crate::session::{Drawn, Plan, fly_drawn};
 use foresight_index::world::World;
@@ -82,6 +83,10 @@ pub struct WindowSettings {
     pub captures: PathBuf,
     /// Seconds a frame may take before less is drawn; `None` for as long as it takes.
     pub frame_s: Option<f64>,
+    /// How colours, normals and textures are kept.
+    pub compression: Compression,
+    /// What is behind everything.
+    pub sky: Sky,
     /// The program's clock.
     pub clock: Clock,
 }

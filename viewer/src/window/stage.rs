@@ -3,6 +3,7 @@
 use crate::clock::Clock;
 use crate::exchange::{Body, Exchange, Fate, Told};
 use crate::gpu::Renderer;
+use crate::scene::compress::Compression;
 use crate::scene::content::Content;
 use crate::scene::loader::{Loader, LoaderSettings};
 use crate::scene::resident::{Resident, ResidentSettings, Uploads, Used};
@@ -50,6 +51,7 @@ pub(super) struct Stage<'a> {
     items: BTreeMap<RepId, Item>,
     drawable: BTreeSet<RepId>,
     memory: u64,
+    compression: Compression,
     /// At hand, but beyond the memory: contents take more of it than the world says. Asked for again where there is room.
     deferred: BTreeSet<RepId>,
     ranked_ns: u64,
@@ -61,8 +63,13 @@ pub(super) struct Stage<'a> {
 }
 
 impl<'a> Stage<'a> {
-    /// Nothing yet, in `memory` bytes.
-    pub(super) fn new(world: &'a Arc<World>, source: &Arc<Source>, memory: u64) -> std::io::Result<Stage<'a>> {
+    /// Nothing yet, in `memory` bytes; contents compressed as far as the adapter has textures of blocks.
+    pub(super) fn new(
+        world: &'a Arc<World>,
+        source: &Arc<Source>,
+        memory: u64,
+        compression: Compression,
+    ) -> std::io::Result<Stage<'a>> {
         let loader = Loader::new(world.clone(), source.clone(), LoaderSettings::default())?;
         Ok(Stage {
             world,
@@ -70,6 +77,7 @@ impl<'a> Stage<'a> {
             items: BTreeMap::new(),
             drawable: BTreeSet::new(),
             memory,
+            compression,
             deferred: BTreeSet::new(),
             ranked_ns: 0,
             shown: 0,
@@ -89,6 +97,7 @@ impl<'a> Stage<'a> {
     /// What a frame does: forgets, takes, decodes, uploads, and tells.
     pub(super) fn turn(&mut self, exchange: &Exchange, renderer: &mut Renderer, view: &View, clock: Clock) {
         let now_ns = clock.now_ns();
+        self.resident.set_compression(renderer.compression(self.compression));
         let mut taker = Taker(Some(renderer));
         let (gone, given) = exchange.take();
         for rep in gone.into_iter().map(RepId) {

@@ -7,7 +7,7 @@ use foresight_scheduler::view::View;
 use foresight_viewer::draw::choose::{ChooseSettings, choose_in};
 use foresight_viewer::draw::environment::EnvironmentSettings;
 use foresight_viewer::draw::list::DrawList;
-use foresight_viewer::gpu::{Environment, EnvironmentCounts, Gpu, Light, Renderer, Share};
+use foresight_viewer::gpu::{Environment, EnvironmentCounts, Gpu, GpuError, Light, Renderer, Share};
 use foresight_viewer::gpu::{Picture, Surroundings};
 use foresight_viewer::measure::{Likeness, compare};
 use foresight_viewer::scene::content::Content;
@@ -84,11 +84,15 @@ impl Place {
     }
 
     fn prepare(&mut self, maps: &mut Environment, view: &View, share: Share) -> (DrawList, EnvironmentCounts) {
+        let drawn = self.try_prepare(maps, view, share).expect("a list");
+        (drawn, maps.counts().clone())
+    }
+
+    fn try_prepare(&mut self, maps: &mut Environment, view: &View, share: Share) -> Result<DrawList, GpuError> {
         let list = self.list(view);
         let choose = ChooseSettings::default();
         let around = Surroundings { tree: &self.tree, root_sample: None, resident: &self.resident, choose: &choose };
-        let drawn = maps.prepare(&mut self.renderer, around, view, &list, share).expect("a list");
-        (drawn, maps.counts().clone())
+        maps.prepare(&mut self.renderer, around, view, &list, share)
     }
 
     fn picture(&mut self, view: &View, list: &DrawList) -> (Picture, u64) {
@@ -245,4 +249,40 @@ fn what_cannot_be_made_is_refused_in_words_and_drawn_by_itself() {
     place.resident.clear();
     let (drawn, counts) = place.prepare(&mut maps(4.0), &view, AMPLE);
     assert_eq!((drawn, counts.maps_drawn, counts.refused), (DrawList::default(), 4, None));
+}
+
+#[test]
+fn with_a_lost_device_maps_are_lost_and_with_the_next_one_made_anew() {
+    let Some(lost) = gpu() else { return };
+    let view = walk(DVec3::ZERO).next().expect("a view");
+    let mut place = boards(&lost, DVec3::ZERO);
+    let mut whole = maps(4.0);
+    let (list, counts) = place.prepare(&mut whole, &view, AMPLE);
+    let (before, points) = place.picture(&view, &list);
+    assert!(counts.maps_drawn == 4 && points > 0, "{counts:?}");
+    // Others are being made.
+    let mut second = boards(&lost, DVec3::ZERO);
+    let little = EnvironmentSettings { points_per_frame: 10_000, ..EnvironmentSettings::with_side(4.0) };
+    let mut half = Environment::new(little);
+    let share = Share { frames: 1, ..AMPLE };
+    for _ in 0..8 {
+        second.prepare(&mut half, &view, share);
+    }
+    assert!(half.counts().faces > 0 && half.counts().maps_drawn == 0, "{:?}", half.counts());
+    lost.device.destroy();
+    let refused = second.try_prepare(&mut half, &view, share);
+    assert!(matches!(refused, Err(GpuError::Lost(_))), "{refused:?}");
+    let refused = place.try_prepare(&mut whole, &view, AMPLE);
+    assert!(matches!(refused, Err(GpuError::Lost(_))), "{refused:?}");
+    let Some(gpu) = gpu() else { return };
+    let mut place = boards(&gpu, DVec3::ZERO);
+    // Maps are made anew, and those of before are of no use, but no harm, once they are let go.
+    whole.clear(&mut place.renderer);
+    for maps in [&mut maps(4.0), &mut whole] {
+        let (list, again) = place.prepare(maps, &view, AMPLE);
+        assert_eq!((again.faces_made, again.left_out), (48, counts.left_out));
+        let (after, _) = place.picture(&view, &list);
+        assert!(after.rgba == before.rgba && after.distance == before.distance);
+        maps.clear(&mut place.renderer);
+    }
 }

@@ -1,6 +1,6 @@
 //! Culling by occlusion leaves out much, and nothing that is seen.
 
-use crate::scene::{Plate, gpu, list, looking, orthoview, renderer};
+use crate::scene::{Plate, gpu, list, looking, orthoview, ray, renderer};
 use foresight_index::orthoview::Direction;
 use foresight_scheduler::lod_tree::RepId;
 use foresight_scheduler::view::View;
@@ -11,10 +11,12 @@ use glam::DVec3;
 const SIZE: [u32; 2] = [160, 120];
 
 /// A wall of 40 m across the y axis, and behind it 40 plates of 3 m that face it, of different colours.
-fn street(renderer: &mut Renderer) -> u32 {
+fn street(renderer: &mut Renderer) -> Vec<Plate> {
     let front = Direction::from_signs([0, -1, 0]).expect("canonical");
+    let mut plates = Vec::new();
     let mut place = |rep: u32, centre: DVec3, half: f64, side: u32| {
         let plate = Plate { centre, axes: [DVec3::X, DVec3::Z], half };
+        plates.push(plate);
         let mut image = orthoview(&plate, front, centre, 2.2 * half, side);
         for colour in image.colours.chunks_exact_mut(4) {
             colour[..3].copy_from_slice(&[(37 * rep % 256) as u8, (91 * rep % 256) as u8, 40]);
@@ -26,7 +28,7 @@ fn street(renderer: &mut Renderer) -> u32 {
         let (column, row) = (f64::from((rep - 1) % 8) - 3.5, f64::from((rep - 1) / 8));
         place(rep, DVec3::new(6.0 * column, 20.0 + 5.0 * row, 4.0 * row - 8.0), 1.5, 32);
     }
-    41
+    plates
 }
 
 fn views() -> Vec<View> {
@@ -54,7 +56,7 @@ fn pictures_are_the_same_with_and_without_culling() {
         let (mut culled, mut whole) = (renderer(&gpu), renderer(&gpu));
         culled.settings().occlusion = true;
         (culled.settings().samples, whole.settings().samples) = (samples, samples);
-        let reps = street(&mut culled);
+        let reps = street(&mut culled).len() as u32;
         street(&mut whole);
         for (step, view) in views().iter().enumerate() {
             let (expected, _) = whole.picture(view, &list(0..reps)).expect("a picture");
@@ -74,7 +76,8 @@ fn what_is_behind_the_wall_is_left_out_once_the_wall_is_known() {
     };
     let mut renderer = renderer(&gpu);
     renderer.settings().occlusion = true;
-    let reps = street(&mut renderer);
+    let plates = street(&mut renderer);
+    let reps = plates.len() as u32;
     let view = looking(DVec3::new(0.0, -45.0, 0.0), DVec3::ZERO, SIZE);
     let mut frames = Vec::new();
     for _ in 0..3 {
@@ -87,7 +90,14 @@ fn what_is_behind_the_wall_is_left_out_once_the_wall_is_known() {
     assert!(frames[2].points > 14_000 && frames[2].points_drawn < 5000 && frames[2].tiles_drawn == 16, "{frames:?}");
     // Without the wall everything is seen again, in the first frame.
     let (alone, _) = renderer.picture(&view, &list(1..reps)).expect("a picture");
-    assert!((0..160 * 120).filter(|&at| !alone.is_sky(at)).count() > 500);
+    let hit = |at: usize, margin: f64| {
+        let along = ray(&view, at as u32 % SIZE[0], at as u32 / SIZE[0]);
+        plates[1..].iter().any(|plate| plate.hit(view.position, along, margin).is_some())
+    };
+    // Splats reach 0.13 m over a plate's edge and samples 0.09 m short of it, and a pixel is 0.6 to 0.8 m wide.
+    let inside: Vec<usize> = (0..160 * 120).filter(|&at| hit(at, 0.2)).collect();
+    assert!(inside.len() > 500 && inside.iter().all(|&at| !alone.is_sky(at)), "{}", inside.len());
+    assert!((0..160 * 120).filter(|&at| !hit(at, -0.6)).all(|at| alone.is_sky(at)));
     let counts = renderer.occlusion().expect("answers");
     assert!(10 * counts.points_drawn > 9 * counts.points, "{counts:?}");
     renderer.picture(&view, &list([])).expect("an empty picture");

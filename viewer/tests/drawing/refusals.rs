@@ -5,7 +5,7 @@ use foresight_index::orthoview::direction::nine;
 use foresight_scheduler::lod_tree::RepId;
 use foresight_scheduler::view::View;
 use foresight_viewer::gpu::{Gpu, GpuError, GpuSettings};
-use foresight_viewer::scene::content::{Content, TextureImage};
+use foresight_viewer::scene::content::{Content, Texels, TextureImage};
 use glam::{DQuat, DVec3};
 use std::sync::Arc;
 
@@ -62,7 +62,7 @@ fn contents_too_large_or_at_odds_with_themselves_are_refused() {
     let mut no_texture = mesh(&plate());
     no_texture.parts[0].texture = Some(0);
     let mut cut_texture = mesh(&plate());
-    cut_texture.textures.push(Arc::new(TextureImage { size: [4, 4], texels: vec![0; 63] }));
+    cut_texture.textures.push(Arc::new(TextureImage { size: [4, 4], texels: vec![0; 63], kept: Texels::Plain }));
     let contents = [
         Content::Splats(wide),
         Content::Splats(cut),

@@ -5,7 +5,7 @@ use foresight_scheduler::lod_tree::{Aabb, RepId};
 use foresight_scheduler::view::View;
 use foresight_viewer::draw::list::{ALL_TILES, DrawList, Item};
 use foresight_viewer::gpu::{Background, Gpu, GpuSettings, RenderSettings, Renderer};
-use foresight_viewer::scene::content::{Mesh, Part, SplatImage, Vertex};
+use foresight_viewer::scene::content::{Mesh, Part, SplatImage, Texels, Vertex};
 use glam::{DMat3, DQuat, DVec3};
 
 /// The adapter; `None` where there is none, which the continuous integration does not accept.
@@ -117,6 +117,8 @@ pub(crate) fn orthoview(plate: &Plate, direction: Direction, middle: DVec3, cell
         colours: Vec::new(),
         shapes: Vec::new(),
         normals: Vec::new(),
+        colours_kept: Texels::Plain,
+        normals_kept: Texels::Plain,
         bounds: Aabb { min: middle - 0.5 * cell, max: middle + 0.5 * cell },
     };
     let depth = |column: u32, row: u32| {

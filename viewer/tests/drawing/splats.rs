@@ -1,11 +1,13 @@
 //! Splats against closed forms.
 
-use crate::scene::{Plate, gpu, list, looking, orthoview, ray, renderer};
+use crate::scene::{Plate, gpu, list, looking, mesh, orthoview, ray, renderer};
 use foresight_index::orthoview::direction::nine;
 use foresight_scheduler::lod_tree::{Aabb, RepId};
-use foresight_viewer::gpu::SplatShape;
-use foresight_viewer::scene::content::{Content, SplatImage};
+use foresight_viewer::gpu::{GpuError, SplatShape};
+use foresight_viewer::scene::compress::Compression;
+use foresight_viewer::scene::content::{Content, SplatImage, Texels, TextureImage};
 use glam::DVec3;
+use std::sync::Arc;
 
 #[test]
 fn a_plate_covers_its_pixels_without_holes_from_many_sides() {
@@ -141,6 +143,8 @@ fn waves() -> [SplatImage; 2] {
             .map(|(code, links)| code | u16::from(links.bits()) << 10)
             .collect(),
         normals: view.pixels.iter().flat_map(|pixel| octahedral(pixel.normal)).collect(),
+        colours_kept: Texels::Plain,
+        normals_kept: Texels::Plain,
         bounds: Aabb { min: DVec3::ZERO, max: DVec3::new(12.0, 12.0, range) },
     };
     [image(&Thresholds::default()), image(&Thresholds { sphericality: -2.0, ..Thresholds::default() })]
@@ -187,6 +191,8 @@ fn shapes_are_as_large_as_they_are_said_to_be() {
         colours: vec![255, 0, 0, 255],
         shapes: vec![if connected { 0xc000 } else { 0x8000 }],
         normals: foresight_index::format::orthoview::octahedral(tilted.to_array().map(|v| v as f32)).to_vec(),
+        colours_kept: Texels::Plain,
+        normals_kept: Texels::Plain,
         bounds: Aabb { min: DVec3::splat(-1.0), max: DVec3::splat(1.0) },
     };
     let fov_y = 2.0 * libm::atan(0.05);
@@ -211,5 +217,41 @@ fn shapes_are_as_large_as_they_are_said_to_be() {
         let (picture, _) = renderer.picture(&view, &list([0])).expect("a picture");
         let found = picture.distance.iter().filter(|d| d.is_finite()).count() as f64 / 100.0;
         assert!((found / square_metres - 1.0).abs() < 0.05, "{shape:?} {connected}: {found} for {square_metres} m²");
+    }
+}
+
+#[test]
+fn compressed_contents_are_uploaded_as_they_are_and_look_alike() {
+    let Some(gpu) = gpu() else { return };
+    let mut renderer = renderer(&gpu);
+    let plate = Plate { centre: DVec3::ZERO, axes: [DVec3::X, DVec3::Y], half: 2.0 };
+    let view = looking(DVec3::new(0.0, 0.0, 9.0), DVec3::ZERO, [64, 48]);
+    let plain = orthoview(&plate, nine()[0], DVec3::ZERO, 8.0, 16);
+    let mut pictures = Vec::new();
+    // 16 blocks; depths and links take 512 bytes.
+    for (compression, bytes) in [(Compression::None, 2048), (Compression::Small, 896), (Compression::Fine, 1024)] {
+        let content = Content::Splats(plain.clone()).compressed(compression);
+        if renderer.compression(compression) != compression {
+            let refused = renderer.upload(RepId(0), &content).expect_err("no blocks").to_string();
+            assert!(refused.contains("the adapter has no textures of"), "{refused}");
+            continue;
+        }
+        assert_eq!(renderer.upload(RepId(0), &content), Ok(bytes), "{compression:?}");
+        pictures.push(renderer.picture(&view, &list([0])).expect("a picture").0);
+    }
+    for picture in &pictures {
+        assert!(picture.distance == pictures[0].distance);
+        let far = picture.rgba.iter().zip(&pictures[0].rgba).filter(|(a, b)| a.abs_diff(**b) > 8).count();
+        assert_eq!(far, 0);
+    }
+    let mut crossed = plain.clone();
+    (crossed.colours_kept, crossed.colours) = (Texels::Bc5, vec![0; 256]);
+    let mut cut = plain;
+    (cut.colours_kept, cut.colours) = (Texels::Bc1, vec![0; 127]);
+    let mut narrow = mesh(&plate);
+    narrow.textures.push(Arc::new(TextureImage { size: [6, 4], texels: vec![0; 16 + 8 + 8], kept: Texels::Bc1 }));
+    for content in [Content::Splats(crossed), Content::Splats(cut), Content::Mesh(narrow)] {
+        let refused = renderer.upload(RepId(0), &content);
+        assert!(matches!(refused, Err(GpuError::Refused { .. } | GpuError::Content { .. })), "{refused:?}");
     }
 }

@@ -75,7 +75,7 @@ impl Scene {
     /// Adapter and renderer for it.
     pub(crate) fn offscreen(&self) -> Result<Offscreen<'_>, Fault> {
         let light = if self.is_lit { Offscreen::sun(&self.world) } else { Light::Unlit };
-        let settings = RenderSettings { light, ..Offscreen::settings(&self.world) };
+        let settings = RenderSettings { light, ..Offscreen::settings(&self.world, &self.source) };
         Offscreen::new(&self.world, &self.source, &GpuSettings::default(), settings).map_err(|e| Fault::new("GPU", e))
     }
 

@@ -84,7 +84,8 @@ enum Figure {
     Culled,
     /// What is far from environment maps: points, time a frame, what making them costs, likeness (DRVW 6)
     Environment,
-    /// A target frame time held while a city is entered: p90 from 60 frames after (NVE 4.5, 4.6)
+    /// A target frame time held while a city is entered: p90 from 60 frames after, pictures of 160x120 if no size is given
+    /// (NVE 4.5, 4.6)
     Controller,
     /// Popping: the largest change between successive frames of a slow walk, with and without fading (HIBR 5.3)
     Fading,
@@ -99,7 +100,7 @@ enum Figure {
     },
     /// Circular, warped, elliptical, and hybrid splats with and without sphericality, against triangles (HIBR Figure 8)
     Shapes,
-    /// Milliseconds per million splats; what compressed textures save and lose
+    /// Milliseconds per million splats; what compressed textures save and lose, what compressing and uploading takes
     Cost,
     /// Pixels that differ 6.4 million metres from the origin
     Offset,
@@ -232,7 +233,10 @@ fn measured(cli: &Cli, folder: &Path) -> Result<Findings, Fault> {
             let flights = environment::flights(folder, cli.small, cli.only.as_deref(), cli.size())?;
             environment::findings(&flights, cli.small)
         }
-        Figure::Controller => controller::findings(&street::open(folder, cli.small)?, cli.small),
+        Figure::Controller => {
+            let size = cli.size.unwrap_or([160, 120]);
+            controller::findings(&street::open(folder, cli.small)?, cli.small, size)
+        }
         Figure::Fading => fading::findings(&street::open(folder, cli.small)?, cli.small),
         Figure::Resident { rate, sun } => {
             let scenes = resident::scenes(folder, cli.small, cli.only.as_deref(), cli.size())?;

@@ -6,7 +6,7 @@ use foresight_index::orthoview::connectivity::{Thresholds, links};
 use foresight_index::orthoview::raster::{self, Drawn, Plain, Surface, Triangle};
 use foresight_index::orthoview::{Direction, Lattice};
 use foresight_scheduler::lod_tree::Aabb;
-use foresight_viewer::scene::content::{Mesh, Part, SplatImage, Vertex};
+use foresight_viewer::scene::content::{Mesh, Part, SplatImage, Texels, Vertex};
 use glam::{DQuat, DVec2, DVec3};
 
 /// Side of the cell, metres.
@@ -151,6 +151,8 @@ pub(crate) fn orthoview(triangles: &[Triangle], direction: Direction, pixels: u3
         colours: planes.colours.as_chunks::<3>().0.iter().flat_map(|&[r, g, b]| [r, g, b, 255]).collect(),
         shapes: planes.depths.iter().zip(&planes.links).map(|(depth, links)| depth | u16::from(*links) << 10).collect(),
         normals: planes.normals,
+        colours_kept: Texels::Plain,
+        normals_kept: Texels::Plain,
         bounds: octree.bounds(cell),
     })
 }
