@@ -17,6 +17,14 @@ use foresight_scheduler::select::horizon::{Horizon, HorizonSettings};
 
 /// Regrets tolerated by branch and bound; 0 asks for the exhaustive winner.
 const CERTIFIED: [f64; 5] = [0.0, 1e-4, 1e-3, 1e-2, 1e-1];
+/// Finer estimators than decisions use, at the tolerance that they use: whether with eight times as many intervals of time,
+/// the opening angle, and the name.
+const FINER: [(bool, f64, &str); 4] = [
+    (false, 0.1, "certified, θ = 0.1"),
+    (false, 0.0, "certified, leaf by leaf"),
+    (true, 0.3, "certified, 8× the intervals"),
+    (true, 0.1, "certified, 8× the intervals, θ = 0.1"),
+];
 /// Shares of the winner's gain below which sampled groups are not opened.
 const SAMPLED: [f64; 3] = [1.0, 0.1, 0.01];
 /// Bounds of that gain, sr, as the policy has them.
@@ -35,6 +43,8 @@ enum Method {
     Exhaustive,
     Certified(f64),
     Sampled(f64),
+    /// A place in [`FINER`], and the tolerance.
+    Finer(usize, f64),
 }
 
 /// What a method chose over the decisions of a case.
@@ -64,7 +74,9 @@ impl Choices {
         let certified =
             CERTIFIED.map(|t| (Method::Certified(t), by == ChoiceMethod::Certified && t == settings.tolerance));
         let sampled = SAMPLED.map(|t| (Method::Sampled(t), by == ChoiceMethod::Sampled && t == settings.grouping));
-        let methods = std::iter::once((Method::Exhaustive, false)).chain(sampled).chain(certified).collect();
+        let finer = (0..FINER.len()).map(|which| (Method::Finer(which, settings.tolerance), false));
+        let methods =
+            std::iter::once((Method::Exhaustive, false)).chain(sampled).chain(certified).chain(finer).collect();
         Choices { methods, cases: Vec::new() }
     }
 
@@ -82,8 +94,9 @@ impl Choices {
             self.cases.push((case.to_owned(), vec![Record::default(); self.methods.len()]));
         }
         let Some((_, records)) = self.cases.last_mut() else { return };
-        let mut coarse = instance(tree, situation, settings, false);
-        let mut fine = instance(tree, situation, settings, true);
+        let mut coarse = instance(tree, situation, settings, false, settings.cut.opening);
+        let mut fine = instance(tree, situation, settings, true, 0.0);
+        let mut finer = FINER.map(|(fine, opening, _)| instance(tree, situation, settings, fine, opening));
         for _ in 0..decisions.min(EVALUATED_MOST.div_ceil(tree.representations().max(1))) {
             let watch = Stopwatch::start();
             let best = exhaustive_winner(&mut coarse);
@@ -92,12 +105,22 @@ impl Choices {
             let gain = ranked(&mut coarse, winner).map_or(0.0, |r| r.gain);
             let finest = certified_winner(&mut fine, FINEST);
             for ((method, _), record) in self.methods.iter().zip(records.iter_mut()) {
+                // What is proven of a choice by another estimator.
+                let mut proven = None;
                 let (chosen, evaluated, nanos) = match *method {
                     Method::Exhaustive => (Some(winner), tree.representations() as u64, nanos),
                     Method::Certified(tolerance) => {
                         let watch = Stopwatch::start();
                         let found = certified_winner(&mut coarse, tolerance);
                         (found.rep, found.certificate.evaluations, watch.nanos())
+                    }
+                    Method::Finer(which, tolerance) => {
+                        let watch = Stopwatch::start();
+                        let found = certified_winner(&mut finer[which], tolerance);
+                        let nanos = watch.nanos();
+                        let missed = found.certificate.regret;
+                        proven = Some(if missed > tolerance { missed } else { 0.0 });
+                        (found.rep, found.certificate.evaluations, nanos)
                     }
                     Method::Sampled(share) => {
                         let tolerance = (share * gain).clamp(GROUPING.0, GROUPING.1);
@@ -108,7 +131,7 @@ impl Choices {
                 };
                 let worth =
                     |instance: &mut Instance| chosen.and_then(|rep| ranked(instance, rep)).map_or(0.0, |r| r.ratio);
-                let regret = regret(worth(&mut coarse), best.ratio);
+                let regret = proven.unwrap_or_else(|| regret(worth(&mut coarse), best.ratio));
                 // The finest choice is known to a tolerance: what is better than it has no regret.
                 let of_fine = self::regret(worth(&mut fine), finest.ratio);
                 record.decisions += 1;
@@ -119,7 +142,7 @@ impl Choices {
                 record.nanos += nanos;
                 record.evaluated += evaluated;
             }
-            for instance in [&mut coarse, &mut fine] {
+            for instance in [&mut coarse, &mut fine].into_iter().chain(&mut finer) {
                 let members = ranked(instance, winner).map_or_else(Vec::new, |r| r.members);
                 for member in members {
                     instance.standing.insert(tree, member);
@@ -144,6 +167,7 @@ impl Choices {
                 Method::Exhaustive => ("exhaustive", 0.0, true),
                 Method::Certified(tolerance) => ("certified", tolerance, true),
                 Method::Sampled(share) => ("sampled", share, false),
+                Method::Finer(which, tolerance) => (FINER[which].2, tolerance, true),
             };
             let count = record.decisions.max(1) as f64;
             ChoiceRow {
@@ -183,11 +207,16 @@ fn regret(chosen: f64, best: f64) -> f64 {
     if best > 0.0 && missed > ROUNDING * best { missed / best } else { 0.0 }
 }
 
-/// The choice of a situation: as decisions see it, or leaf by leaf with a fine quadrature.
-fn instance<'a>(tree: &'a LodTree, situation: &Situation, settings: &ForesightSettings, fine: bool) -> Instance<'a> {
+/// The choice of a situation, by as many intervals as decisions use or by many, with groups opened to `opening`.
+fn instance<'a>(
+    tree: &'a LodTree,
+    situation: &Situation,
+    settings: &ForesightSettings,
+    fine: bool,
+    opening: f64,
+) -> Instance<'a> {
     let (bounds, paths): (&[f64], &[PredictedPath]) =
         if fine { (&situation.fine.0, &situation.fine.1) } else { (&situation.bounds, &situation.middles) };
-    let opening = if fine { 0.0 } else { settings.cut.opening };
     let made = ObjectiveSettings {
         alpha: settings.alpha,
         attenuation: settings.attenuation,

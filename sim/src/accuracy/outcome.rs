@@ -162,7 +162,8 @@ pub struct ChoiceRow {
     pub wrong_choices: u64,
     /// Decisions.
     pub decisions: u64,
-    /// Largest (best − chosen) ÷ best under the same estimator.
+    /// Largest (best − chosen) ÷ best under the same estimator; of finer ones than decisions use, what is not proven to be
+    /// within the tolerance.
     pub max_regret: f64,
     /// Largest regret measured leaf by leaf with a fine quadrature, where that was done.
     pub max_regret_reference: Option<f64>,
