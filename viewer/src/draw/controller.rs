@@ -5,9 +5,11 @@
 //! With t the median of the last three frame times and T the target,
 //!
 //! ```text
-//! ln bias ← clamp(ln bias + 0.2 · clamp(ln(t/T), ±ln 4))      unless |ln(t/T)| ≤ 0.05
+//! ln bias ← clamp(ln bias + k · clamp(ln(t/A), ±ln 4))      unless |ln(t/A)| ≤ 0.05,   A = 0.9·T
 //! ```
 //!
+//! What is aimed at is a little below the target, and k is 0.2 upwards and 0.05 downwards, because a late frame is seen where an
+//! early one is not: cells change their level at once, so that frame times jump to and fro around any aim.
 //! The loop's gain is then at most 0.4 at a delay of two frames; it is stable below 2·sin(π/10) ≈ 0.62. The median takes no
 //! notice of single slow frames, such as those of an upload. The bias has no meaning outside its range: where even the
 //! coarsest takes longer than the target, or the finest less, it stays at that end and comes back at once.
@@ -50,7 +52,10 @@ pub struct Controller {
     recent: Option<[f64; 3]>,
 }
 
-const GAIN: f64 = 0.2;
+/// A/T.
+const AIM: f64 = 0.9;
+/// k, towards coarser and towards finer.
+const GAINS: [f64; 2] = [0.2, 0.05];
 const STEP_MAX: f64 = 2.0 * core::f64::consts::LN_2;
 const DEAD_BAND: f64 = 0.05;
 
@@ -85,9 +90,10 @@ impl Controller {
         let recent = [b, c, frame_s];
         self.recent = Some(recent);
         let median = b.min(c).max(b.max(c).min(frame_s));
-        let off = libm::log(median) - libm::log(self.settings.target_s);
+        let off = libm::log(median) - libm::log(AIM * self.settings.target_s);
         if off.abs() > DEAD_BAND {
-            let moved = self.bias * libm::exp(GAIN * off.clamp(-STEP_MAX, STEP_MAX));
+            let gain = GAINS[usize::from(off < 0.0)];
+            let moved = self.bias * libm::exp(gain * off.clamp(-STEP_MAX, STEP_MAX));
             self.bias = moved.clamp(self.settings.bias_min, self.settings.bias_max);
         }
         self.bias
@@ -148,12 +154,12 @@ mod tests {
         let mut controller = controller(0.02);
         fly(&mut controller, 40, 0.0, 0.08, 2.0);
         let settled = controller.bias();
-        assert!((settled / 2.0 - 1.0).abs() < 0.03, "{settled}");
+        assert!((settled / (2.0 / AIM.sqrt()) - 1.0).abs() < 0.03, "{settled}");
         controller.observe(10.0);
         assert!((controller.bias() / settled - 1.0).abs() < 0.02);
         fly(&mut controller, 20, 0.0, 0.8, 2.0);
         let times = fly(&mut controller, 20, 0.0, 0.8, 2.0);
-        assert!(times.iter().all(|t| (t / 0.02 - 1.0).abs() < 0.1), "{times:?}");
+        assert!(times.iter().all(|t| (t / (AIM * 0.02) - 1.0).abs() < 0.1), "{times:?}");
     }
 
     #[test]

@@ -52,9 +52,10 @@ struct Flown {
 }
 
 impl Flown {
+    /// The same frames whatever the model: a larger e₀ would leave those of the start alone in the range.
     fn pairs(&self, quality: impl Fn(&Frame) -> f64) -> Vec<(f64, f64)> {
-        let pairs = self.frames.iter().map(|frame| (quality(frame), frame.ssim));
-        pairs.filter(|(q, _)| (RANGE.0..=RANGE.1).contains(q)).collect()
+        let counts = |frame: &&Frame| (RANGE.0..=RANGE.1).contains(&frame.quality);
+        self.frames.iter().filter(counts).map(|frame| (quality(frame), frame.ssim)).collect()
     }
 
     fn with(&self, half: f64, power: f64) -> Option<f64> {
