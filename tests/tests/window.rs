@@ -24,6 +24,19 @@ fn pictures(folder: &Path) -> PathBuf {
     }
 }
 
+/// A desktop, a folder to work in and the one for pictures; `None`, with a word, where there is no desktop or these tests are
+/// not asked for.
+fn place() -> Option<(Desktop, tempfile::TempDir, PathBuf)> {
+    if let Err(reason) = foresight_tests::full() {
+        println!("{reason}");
+        return None;
+    }
+    let desktop = Desktop::start()?;
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let kept = pictures(folder.path());
+    Some((desktop, folder, kept))
+}
+
 /// A city with its geometry and textures, in files.
 fn city(folder: &Path) {
     let words = ["generate", "city", "--blocks", "2", "--out", "city"];
@@ -50,16 +63,10 @@ fn figures(ended: &Ended) -> serde_json::Value {
 
 #[test]
 fn a_window_is_flown_through_resized_and_closed() {
-    if let Err(reason) = foresight_tests::full() {
-        println!("{reason}");
-        return;
-    }
-    let Some(desktop) = Desktop::start() else { return };
-    let folder = tempfile::tempdir().expect("a temporary folder");
+    let Some((desktop, folder, kept)) = place() else { return };
     let folder = folder.path();
-    orthoviews(folder);
-    let kept = pictures(folder);
     let file = |name: &str| kept.join(name);
+    orthoviews(folder);
     let mut options = vec!["--world", "built", "--memory", "512MiB", "--captures", "captures", "--json"];
     options.extend(SIZE);
     let mut window = desktop.open(folder, &options);
@@ -144,14 +151,8 @@ fn recorded(file: &Path) -> Vec<Pose> {
 
 #[test]
 fn who_walks_stays_on_the_ground_and_who_orbits_at_a_distance() {
-    if let Err(reason) = foresight_tests::full() {
-        println!("{reason}");
-        return;
-    }
-    let Some(desktop) = Desktop::start() else { return };
-    let folder = tempfile::tempdir().expect("a temporary folder");
+    let Some((desktop, folder, kept)) = place() else { return };
     let folder = folder.path();
-    let kept = pictures(folder);
     let file = |name: &str| kept.join(name);
     let hills = "terrain:size=800m,resolution=10m,relief=1km";
     let (world, _) = Source::open(hills).expect("a terrain");
@@ -212,14 +213,8 @@ fn who_walks_stays_on_the_ground_and_who_orbits_at_a_distance() {
 
 #[test]
 fn environment_maps_are_made_anew_with_another_device() {
-    if let Err(reason) = foresight_tests::full() {
-        println!("{reason}");
-        return;
-    }
-    let Some(desktop) = Desktop::start() else { return };
-    let folder = tempfile::tempdir().expect("a temporary folder");
+    let Some((desktop, folder, kept)) = place() else { return };
     let folder = folder.path();
-    let kept = pictures(folder);
     let file = |name: &str| kept.join(name);
     // Few pixels, so that eight maps are soon made.
     let window = ["--viewport", "200x150", "--frame-time", "0", "--environment", "4", "--json"];
@@ -241,16 +236,10 @@ fn environment_maps_are_made_anew_with_another_device() {
 
 #[test]
 fn a_server_that_goes_and_comes_back_leaves_the_world_on_the_screen() {
-    if let Err(reason) = foresight_tests::full() {
-        println!("{reason}");
-        return;
-    }
-    let Some(desktop) = Desktop::start() else { return };
-    let folder = tempfile::tempdir().expect("a temporary folder");
+    let Some((desktop, folder, kept)) = place() else { return };
     let folder = folder.path();
-    city(folder);
-    let kept = pictures(folder);
     let file = |name: &str| kept.join(name);
+    city(folder);
     let server = Server::start(folder, &["--world", "city"]);
     let port = server.port();
     let url = server.url();

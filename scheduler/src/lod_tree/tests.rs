@@ -1,4 +1,5 @@
 use super::*;
+use crate::benefit::element::{HIDDEN, errors};
 
 fn rep(wire_bytes: u32, error: f32) -> Representation {
     Representation { wire_bytes, decoded_bytes: 4 * wire_bytes, error, prerequisite: None, direction: None }
@@ -107,5 +108,38 @@ fn surfaces_are_summed_and_kept_only_with_directions() -> Result<(), LodTreeErro
     assert!((0..ELEMENTS).all(|s| with.surface(NodeId(0))[s] == told[s] + default[s]));
     assert_eq!(without.surface(NodeId(1))[..6], [2.0; 6]);
     assert_eq!(with.heap_bytes() - without.heap_bytes(), 1 + 3 * 4 * ELEMENTS);
+    Ok(())
+}
+
+#[test]
+fn what_orthoviews_hide_is_told_of_them_alone_and_kept_only_where_told() -> Result<(), LodTreeError> {
+    let build = |told: bool| -> Result<LodTree, LodTreeError> {
+        let mut b = LodTreeBuilder::default();
+        b.open()?;
+        assert!(matches!(b.shown([0; ELEMENTS]), Err(LodTreeError::Nesting(_))));
+        b.add(Representation { direction: Some(14), ..rep(10, 4.0) })?;
+        b.add(Representation { direction: Some(14), ..rep(10, 2.0) })?;
+        let mut shown = [HIDDEN; ELEMENTS];
+        (shown[5], shown[13]) = (0, 32);
+        if told {
+            // The last word counts.
+            b.shown([7; ELEMENTS])?;
+            b.shown(shown)?;
+        }
+        b.add(rep(10, 0.0))?;
+        assert!(matches!(b.shown(shown), Err(LodTreeError::Nesting(_))));
+        b.close(Some(unit(0.0)), 1.0)?;
+        b.finish()
+    };
+    let (with, without) = (build(true)?, build(false)?);
+    let [above, told, mesh] = [0, 1, 2].map(|rep| errors(&with, RepId(rep)));
+    assert!(told[5] == 2.0 && told[13] == 8.0 && told.iter().filter(|error| error.is_finite()).count() == 2);
+    // What does not tell is as it would be without, rounded up to a code.
+    for (s, (coded, exact)) in above.into_iter().zip(errors(&without, RepId(0))).enumerate() {
+        assert!(coded == exact || (exact..=1.0443 * exact).contains(&coded), "{s}: {coded} {exact}");
+    }
+    assert_eq!(mesh, [0.0; ELEMENTS]);
+    assert_eq!(without.shown(RepId(1)), None);
+    assert_eq!(with.heap_bytes() - without.heap_bytes(), 3 * ELEMENTS);
     Ok(())
 }

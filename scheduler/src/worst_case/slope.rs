@@ -263,18 +263,10 @@ fn nearest(start: DVec3, edge: DVec3, (a, b): (f64, f64)) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::turned::tests::{vector, view};
     use super::*;
-    use crate::view::View;
     use glam::DQuat;
     use proptest::prelude::*;
-
-    fn vector(limit: f64) -> impl Strategy<Value = DVec3> {
-        prop::array::uniform3(-limit..limit).prop_map(DVec3::from)
-    }
-
-    fn view(fov_y: f64, orientation: DQuat) -> View {
-        View { position: DVec3::ZERO, orientation, fov_y, viewport: [1600, 900] }
-    }
 
     fn views(half: DVec3, turns: DVec3) -> Views {
         let (radius, turn) = (half.length(), turns.length());

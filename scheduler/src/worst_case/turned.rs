@@ -70,7 +70,7 @@ pub(super) fn core_of_face(centre: DVec3, half: DVec3, spread: DVec3, axis: usiz
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::benefit::frustum::Frustum;
     use crate::benefit::solid_angle::of_box_in_frustum;
@@ -78,11 +78,11 @@ mod tests {
     use glam::DQuat;
     use proptest::prelude::*;
 
-    fn vector(limit: f64) -> impl Strategy<Value = DVec3> {
+    pub(in crate::worst_case) fn vector(limit: f64) -> impl Strategy<Value = DVec3> {
         prop::array::uniform3(-limit..limit).prop_map(DVec3::from)
     }
 
-    fn view(fov_y: f64, orientation: DQuat) -> View {
+    pub(in crate::worst_case) fn view(fov_y: f64, orientation: DQuat) -> View {
         View { position: DVec3::ZERO, orientation, fov_y, viewport: [1600, 900] }
     }
 

@@ -218,8 +218,7 @@ fn unused(cases: &[Case], name: &str) -> String {
     if !is_used(name) {
         return name.to_owned();
     }
-    let numbered = (2..).map(|number| format!("{name} {number}"));
-    numbered.into_iter().find(|name| !is_used(name)).unwrap_or_default()
+    (2..).map(|number| format!("{name} {number}")).find(|name| !is_used(name)).unwrap_or_default()
 }
 
 fn measure_cases(
