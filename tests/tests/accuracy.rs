@@ -11,7 +11,9 @@ const LIMIT: Duration = Duration::from_secs(300);
 fn without_nanos(value: &mut Value) {
     match value {
         Value::Object(fields) => {
-            fields.retain(|name, _| !matches!(name.as_str(), "ns_per_candidate" | "ns_per_decision" | "decision_ns"));
+            fields.retain(|name, _| {
+                !matches!(name.as_str(), "ns_per_candidate" | "ns_per_decision" | "decision_ns" | "action_ns")
+            });
             fields.values_mut().for_each(without_nanos);
         }
         Value::Array(items) => items.iter_mut().for_each(without_nanos),
@@ -50,7 +52,7 @@ fn a_small_measurement_has_the_agreed_shape_repeats_and_is_reported() {
         "bound_violations",
     ];
     let choice = ["case", "method", "tolerance", "wrong_choices", "decisions", "max_regret", "ns_per_decision"];
-    let scale = ["representations", "situation", "decision_ns", "nodes_opened"];
+    let scale = ["representations", "situation", "decision_ns", "action_ns", "nodes_opened"];
     for (part, fields) in [("integral", &error[..]), ("worst_case", &error), ("choice", &choice), ("scale", &scale)] {
         let rows = raw[part].as_array().expect(part);
         assert!(!rows.is_empty(), "{part}");

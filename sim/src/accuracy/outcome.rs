@@ -193,6 +193,9 @@ pub struct ScaleRow {
     pub situation: &'static str,
     /// Observing a view and deciding until there is nothing left to do, on one core; differs from run to run.
     pub decision_ns: Percentiles,
+    /// One answer alone, a fetch, a discard, a cancellation or to wait; the first after a view with the observation. Differs from
+    /// run to run.
+    pub action_ns: Percentiles,
     /// Mean nodes opened a decision; `null` where the policy does not tell.
     pub nodes_opened: Option<f64>,
     /// Ticks timed.
@@ -201,7 +204,7 @@ pub struct ScaleRow {
     pub actions: u64,
     /// Bytes a representation that all sessions share.
     pub bytes_per_representation: f64,
-    /// Bytes of one session's state at the end, without its policy.
+    /// Bytes of one session's state at the end, with what its policy keeps.
     pub session_bytes: u64,
 }
 

@@ -97,9 +97,10 @@ pub fn decisions<'a>(
         proves: false,
         latest: Certificate::default(),
         opened: 0,
+        action_nanos: Vec::new(),
     };
     let mut opened = 0;
-    let mut nanos = Vec::new();
+    let (mut nanos, mut action_nanos) = (Vec::new(), Vec::new());
     let mut actions = 0;
     let mut tick = 0;
     while (nanos.len() as u64) < ticks {
@@ -108,20 +109,23 @@ pub fn decisions<'a>(
         let is_timed = motion.is_timed(tick);
         let watch = Stopwatch::start();
         drive.scheduler.observe(&motion.view(tick), now)?;
-        let acted = drive.obey(now)?;
+        drive.action_nanos.clear();
+        let acted = drive.obey(watch, now)?;
         if is_timed {
             nanos.push(watch.nanos());
+            action_nanos.append(&mut drive.action_nanos);
             opened += drive.opened;
             actions += acted as u64;
         }
         tick += 1;
     }
     let decisions = nanos.len() as u64;
-    let p = percentiles(&mut nanos);
+    let (p, of_actions) = (percentiles(&mut nanos), percentiles(&mut action_nanos));
     Ok(ScaleRow {
         representations: tree.representations() as u64,
         situation: motion.name(),
         decision_ns: Percentiles { p50: p.p50, p99: p.p99 },
+        action_ns: Percentiles { p50: of_actions.p50, p99: of_actions.p99 },
         nodes_opened: drive.proves.then(|| opened as f64 / decisions.max(1) as f64),
         decisions,
         actions,
@@ -145,6 +149,8 @@ struct Drive<'a> {
     latest: Certificate,
     /// Nodes opened for the choices of this tick.
     opened: u64,
+    /// How long each answer of this tick took, the first with what was observed before it.
+    action_nanos: Vec<u64>,
 }
 
 impl Drive<'_> {
@@ -188,11 +194,12 @@ impl Drive<'_> {
         self.scheduler.progress(in_flight, self.link.total_delivered(), now)
     }
 
-    /// Does what the scheduler says until it says to wait; how many actions that were.
-    fn obey(&mut self, now: Time) -> Result<usize, SchedulerError> {
+    /// Does what the scheduler says until it says to wait; how many actions that were. `watch` has run since the observation.
+    fn obey(&mut self, mut watch: Stopwatch, now: Time) -> Result<usize, SchedulerError> {
         self.opened = 0;
         for acted in 0..ACTIONS_PER_TICK_MAX {
             let action = self.scheduler.next(now)?;
+            self.action_nanos.push(watch.nanos());
             // A certificate stays until the next choice.
             if let Some(certificate) = self.scheduler.certificate().filter(|c| *c != self.latest) {
                 self.proves = true;
@@ -217,6 +224,7 @@ impl Drive<'_> {
                 }
                 Action::Discard(_) => {}
             }
+            watch = Stopwatch::start();
         }
         Ok(ACTIONS_PER_TICK_MAX)
     }

@@ -64,7 +64,9 @@ fn measured(world: &World) -> Accuracy {
 fn without_nanos(value: &mut Value) {
     match value {
         Value::Object(fields) => {
-            fields.retain(|name, _| !matches!(name.as_str(), "ns_per_candidate" | "ns_per_decision" | "decision_ns"));
+            fields.retain(|name, _| {
+                !matches!(name.as_str(), "ns_per_candidate" | "ns_per_decision" | "decision_ns" | "action_ns")
+            });
             fields.values_mut().for_each(without_nanos);
         }
         Value::Array(items) => items.iter_mut().for_each(without_nanos),

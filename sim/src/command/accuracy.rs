@@ -6,7 +6,8 @@ use anyhow::{Context, bail};
 use clap::{Args, Parser};
 use foresight_index::generate::city::CityParams;
 use foresight_index::generate::document::Params;
-use foresight_scheduler::policy::foresight::{Foresight, ForesightSettings};
+use foresight_scheduler::policy::foresight::ForesightSettings;
+use foresight_scheduler::policy::specification::{PolicySpec, Trust};
 use foresight_scheduler::units::Time;
 use foresight_sim::accuracy::Part;
 use foresight_sim::accuracy::choice::Choices;
@@ -26,7 +27,8 @@ use std::path::PathBuf;
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  foresight-sim accuracy --report accuracy\n  foresight-sim accuracy --proof --candidates 1000000 --json\n  \
-                  foresight-sim accuracy --world city:blocks=40 --path turn --only choice,scale --largest 1e7\n\n\
+                  foresight-sim accuracy --world city:blocks=40 --path turn --only choice,scale --largest 1e7\n  \
+                  foresight-sim accuracy --only scale --policy foresight:evaluations=250\n\n\
                   Without --world, --path and --link: the built-in world and generated ones, and with --data the first replay of each case of \
                   the suite that needs recorded data. Everything but nanoseconds follows from the seed."
 )]
@@ -62,6 +64,9 @@ pub(crate) struct AccuracyArgs {
     /// Decisions timed in each of these worlds and situations
     #[arg(long, default_value_t = 240, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     decisions: u64,
+    /// Policy whose decisions are timed as the world grows, as `replay` takes it, such as foresight:evaluations=250
+    #[arg(long, default_value = "foresight", value_name = "NAME", value_parser = policy)]
+    policy: PolicySpec,
     /// Instances of each stratum on which the upper bound is set against the exact optimum
     #[arg(long, default_value_t = 40, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     instances: u32,
@@ -112,6 +117,14 @@ fn part(text: &str) -> Result<Part, String> {
     let known = || Part::ALL.map(|(name, _)| name).join(", ");
     let found = Part::ALL.into_iter().find(|(name, _)| *name == text);
     found.map(|(_, part)| part).ok_or_else(|| format!("`{text}`; expected of {}", known()))
+}
+
+fn policy(text: &str) -> Result<PolicySpec, String> {
+    let specs = PolicySpec::parse_list(text, Trust::adapted(), None).map_err(|error| error.to_string())?;
+    match <[PolicySpec; 1]>::try_from(specs) {
+        Ok([spec]) if !spec.knows_the_future() => Ok(spec),
+        _ => Err(format!("`{text}`; expected one policy that does not know the future")),
+    }
 }
 
 fn representations(text: &str) -> Result<u64, String> {
@@ -343,7 +356,7 @@ fn measure_scale(args: &AccuracyArgs, progress: &Progress, outcome: &mut Accurac
         let world = params.build()?;
         for motion in scale::Motion::ALL {
             progress.show(&format!("{} representations, {}", world.tree.representations(), motion.name()));
-            let policy = Box::new(Foresight::new("foresight", ForesightSettings::default()));
+            let policy = args.policy.build(&world.tree);
             outcome.scale.push(scale::decisions(&world.tree, motion, &link, args.decisions, policy)?);
         }
     }

@@ -105,7 +105,8 @@ fn tables(outcome: &Accuracy, short: bool) -> Vec<(&'static str, Vec<Vec<String>
         tables.push(("Choosing the best candidate", std::iter::once(words(heads)).chain(rows).collect()));
     }
     if !outcome.scale.is_empty() {
-        let heads = "representations situation p50 p99 opened decisions actions B/representation session";
+        let heads =
+            "representations situation p50 p99 action_p50 action_p99 opened decisions actions B/representation session";
         let rows = outcome.scale.iter().map(scale_cells);
         tables.push(("Decisions as the world grows", std::iter::once(words(heads)).chain(rows).collect()));
     }
@@ -169,6 +170,8 @@ fn scale_cells(row: &ScaleRow) -> Vec<String> {
         row.situation.to_owned(),
         milliseconds(row.decision_ns.p50),
         milliseconds(row.decision_ns.p99),
+        milliseconds(row.action_ns.p50),
+        milliseconds(row.action_ns.p99),
         row.nodes_opened.map_or_else(|| NEVER.to_owned(), significant),
         row.decisions.to_string(),
         row.actions.to_string(),

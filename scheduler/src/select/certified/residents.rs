@@ -33,7 +33,7 @@ struct Slot {
     /// The sampling that the loss is from; 0 before the first.
     of: u32,
     /// How many changes of the plan an exact loss of this sampling knew.
-    exact: Option<usize>,
+    exact: Option<u32>,
 }
 
 /// Discards that make room, and what they cost.
@@ -266,7 +266,7 @@ impl Residents {
                 looks += 1;
                 let slot = self.slots[place as usize];
                 // Exact as long as nothing above or beneath has come or gone since, nor is about to.
-                let is_exact = slot.exact.is_some_and(|seen| !search.is_touched(tree, &[victim.rep], seen))
+                let is_exact = slot.exact.is_some_and(|seen| !search.is_touched(tree, &[victim.rep], seen as usize))
                     && !members.iter().chain(&sacrifice.reps).any(|&r| related(r, victim.rep));
                 if !planned || is_exact && slot.loss_per_byte == victim.loss_per_byte {
                     first = Some(victim);
@@ -283,7 +283,7 @@ impl Residents {
                     let slot = &mut self.slots[place as usize];
                     slot.loss_per_byte = fresh.loss_per_byte;
                     let apart = !members.iter().chain(&sacrifice.reps).any(|&r| related(r, victim.rep));
-                    slot.exact = apart.then(|| search.changes());
+                    slot.exact = u32::try_from(search.changes()).ok().filter(|_| apart);
                     fresh
                 };
                 if !is_guess && self.heap.peek().is_none_or(|Reverse(next)| fresh <= *next) {

@@ -173,6 +173,14 @@ pub struct Search {
     evaluations: u64,
 }
 
+/// Empties a heap for another search, which is likely to need as much memory as the last: what one search out of many needed
+/// is given back.
+fn clear<T: Ord>(heap: &mut BinaryHeap<T>) {
+    let kept = 2 * heap.len();
+    heap.clear();
+    heap.shrink_to(kept);
+}
+
 /// What must be fetched for `rep` to be of use under partial refinement, in order: missing prerequisites first.
 pub fn closure(tree: &LodTree, standing: &Standing, rep: RepId) -> Vec<RepId> {
     let missing =
@@ -187,9 +195,9 @@ impl Search {
     /// short has something good.
     pub fn restart(&mut self, tree: &LodTree, standing: &Standing) {
         let best: Vec<RepId> = core::iter::from_fn(|| self.exact.pop()).take(SEEDS).map(|e| e.rep).collect();
-        self.below.clear();
-        self.bounded.clear();
-        self.exact.clear();
+        clear(&mut self.below);
+        clear(&mut self.bounded);
+        clear(&mut self.exact);
         self.changes.clear();
         self.evaluated.clear();
         self.opened.clear();
@@ -426,10 +434,13 @@ impl Search {
             if is_rough {
                 let below = self.glance(ask, standing, child, shown, mask, is_held_beneath);
                 let is_first = |below: &Below| first.is_none_or(|first| *below > first) && tree.own(child).len() > 0;
-                self.below.extend(match below {
+                let rest = match below {
                     Some(below) if is_first(&below) => first.replace(below),
                     other => other,
-                });
+                };
+                if let Some(rest) = rest {
+                    self.below.push(rest);
+                }
             } else {
                 let shown = shown.min(standing.plan().best_at(child));
                 self.look(ask, standing, child, shown, mask, true);
