@@ -101,3 +101,57 @@ impl Measured {
         (self.largest.map(|(_, mean)| mean), self.cut)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::benefit::coverage::Refinement;
+    use crate::lod_tree::{Aabb, LodTreeBuilder, LodTreeError, RepId, Representation};
+    use crate::units::Time;
+    use glam::{DQuat, DVec3};
+
+    /// A square of the given corner and side, divided `depth` times; what is finer is less in error.
+    fn square(b: &mut LodTreeBuilder, corner: DVec3, side: f64, depth: u32) -> Result<(), LodTreeError> {
+        b.open()?;
+        let error = if depth == 0 { 0.01 } else { side as f32 / 16.0 };
+        b.add(Representation { wire_bytes: 100, decoded_bytes: 100, error, prerequisite: None, direction: None })?;
+        if depth == 0 {
+            return b.close(Some(Aabb { min: corner, max: corner + DVec3::new(side, side, 1.0) }), 1.0);
+        }
+        let half = 0.5 * side;
+        for (x, y) in [(0.0, 0.0), (half, 0.0), (0.0, half), (half, half)] {
+            square(b, corner + DVec3::new(x, y, 0.0), half, depth - 1)?;
+        }
+        b.close(None, 1.0)
+    }
+
+    #[test]
+    fn a_far_group_of_many_residents_is_measured_in_parts_that_add_up() -> Result<(), LodTreeError> {
+        let mut b = LodTreeBuilder::default();
+        square(&mut b, DVec3::ZERO, 64.0, 7)?;
+        let tree = b.finish()?;
+        assert!(tree.nodes() > 4 * NODES_AT_ONCE as usize);
+        let mut resident = Coverage::new(&tree, Refinement::Partial);
+        for rep in (0..tree.representations() as u32).filter(|r| r % 7 == 0 || r % 11 == 3) {
+            resident.insert(&tree, RepId(rep));
+        }
+        let position = DVec3::new(32.0, 32.0, 2000.0);
+        let view = View { position, orientation: DQuat::IDENTITY, fov_y: 1.0, viewport: [1920, 1080] };
+        let region = Region::Reachable { angle: 0.2, reach: 1.0, stand_off: 1.0 };
+        let cut = CutSettings::default();
+        let mut whole = Cut::default();
+        union_cut(&mut whole, &tree, &view, region, &cut);
+        assert_eq!(whole.patches.len(), 1, "one group");
+        let expected = evaluate(&tree, &whole, &resident, |_| {}).mean().expect("it is seen");
+
+        let worst = [(1.0, view, region)];
+        let sampled = Sampled { now: Time::ZERO, paths: &[], offsets: &[], worst: &worst, cut: &cut, attenuation: 0.0 };
+        let mut measured = Measured::new(&sampled, cut.opening, 0.5, 1.0, Cut::default());
+        let parts = 1 + (0..).take_while(|_| !measured.step(&tree, &resident)).count();
+        assert!(parts > 4, "{parts}");
+        let (quality, _) = measured.finish();
+        let quality = quality.expect("it is seen");
+        assert!((quality - expected).abs() < 1e-12, "{quality} {expected}");
+        Ok(())
+    }
+}
