@@ -154,13 +154,16 @@ pub(crate) struct Loaded {
     /// File of the first representation.
     pub(crate) coarse_file: String,
     /// Where its contents stand, if that was asked for.
+    #[cfg_attr(not(feature = "orthoviews"), expect(dead_code, reason = "for those who read the contents"))]
     pub(crate) places: Option<Places>,
     /// Its folder.
+    #[cfg_attr(not(feature = "orthoviews"), expect(dead_code, reason = "for those who read the contents"))]
     pub(crate) folder: resolve::Folder,
 }
 
 /// Where the contents of a tileset stand.
 #[derive(Clone, Debug, Default)]
+#[cfg_attr(not(feature = "orthoviews"), expect(dead_code, reason = "for those who read the contents"))]
 pub(crate) struct Places {
     /// Variant and translation by representation.
     pub(crate) representations: Vec<(u32, glam::DVec3)>,
