@@ -42,7 +42,7 @@ pub fn open(text: &str, progress: &Progress) -> Result<World, WorldError> {
     }
 }
 
-#[cfg(feature = "generated")]
+#[cfg(any(feature = "city", feature = "terrain", feature = "asteroids"))]
 fn generated(kind: &str, parts: &str) -> Result<World, WorldError> {
     use crate::generate::document::{Params, from_parts};
     match kind {
@@ -56,7 +56,7 @@ fn generated(kind: &str, parts: &str) -> Result<World, WorldError> {
     }
 }
 
-#[cfg(not(feature = "generated"))]
+#[cfg(not(any(feature = "city", feature = "terrain", feature = "asteroids")))]
 fn generated(kind: &str, _: &str) -> Result<World, WorldError> {
     Err(WorldError::NotBuilt { file: PathBuf::from(kind), kind: "generated worlds" })
 }

@@ -118,12 +118,20 @@ struct Document<P> {
 }
 
 /// Checks that a parameter lies in a range, both ends included.
+#[cfg_attr(
+    not(any(feature = "city", feature = "terrain", feature = "asteroids")),
+    expect(dead_code, reason = "for generators")
+)]
 pub(super) fn range(name: &'static str, value: f64, from: f64, to: f64) -> Result<(), ParamError> {
     let inside = (from..=to).contains(&value);
     if inside { Ok(()) } else { Err(ParamError { name, value, expected: format!("{from} to {to}") }) }
 }
 
 /// Sets a parameter to what was read, if it could be.
+#[cfg_attr(
+    not(any(feature = "city", feature = "terrain", feature = "asteroids")),
+    expect(dead_code, reason = "for generators")
+)]
 pub(super) fn put<T>(param: &mut T, read: Option<T>) -> Option<()> {
     *param = read?;
     Some(())

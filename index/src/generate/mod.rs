@@ -10,7 +10,7 @@ pub mod document;
 pub mod mosaic;
 #[cfg(any(feature = "asteroids", feature = "terrain"))]
 mod noise;
-#[cfg(feature = "generated")]
+#[cfg(any(feature = "city", feature = "terrain", feature = "asteroids"))]
 mod random;
 #[cfg(any(feature = "generated", feature = "tiles3d"))]
 mod staging;

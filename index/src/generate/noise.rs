@@ -1,7 +1,10 @@
 //! Gradient noise (Perlin 2002) over lattices of integers, hashed by a seed. Additions and products alone, so that every
 //! machine computes the same.
 
-use glam::{DVec2, DVec3};
+#[cfg(feature = "terrain")]
+use glam::DVec2;
+#[cfg(feature = "asteroids")]
+use glam::DVec3;
 
 /// Mixes a seed and lattice coordinates to 64 bits (the finaliser of SplitMix64).
 fn hash(seed: u64, parts: [i64; 3]) -> u64 {
@@ -24,6 +27,7 @@ fn lerp(t: f64, a: f64, b: f64) -> f64 {
 }
 
 /// Noise over the plane in [−1, 1], 0 at whole coordinates, of wavelength about 1.
+#[cfg(feature = "terrain")]
 pub(super) fn plane(seed: u64, at: DVec2) -> f64 {
     let cell = at.floor();
     let (x, y) = (cell.x as i64, cell.y as i64);
@@ -50,6 +54,7 @@ pub(super) fn plane(seed: u64, at: DVec2) -> f64 {
 }
 
 /// Noise in space in [−1, 1], 0 at whole coordinates, of wavelength about 1.
+#[cfg(feature = "asteroids")]
 pub(super) fn space(seed: u64, at: DVec3) -> f64 {
     let cell = at.floor();
     let (x, y, z) = (cell.x as i64, cell.y as i64, cell.z as i64);
@@ -72,7 +77,7 @@ pub(super) fn space(seed: u64, at: DVec3) -> f64 {
     lerp(w, side(0), side(1)).clamp(-1.0, 1.0)
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "terrain", feature = "asteroids"))]
 mod tests {
     use proptest::prelude::*;
 
