@@ -52,18 +52,29 @@ impl Desktop {
             println!("skipped: {missing} is missing");
             return None;
         }
-        let mut xvfb = Command::new("Xvfb")
-            .args(["-displayfd", "1", "-screen", "0", "1024x768x24", "-nolisten", "tcp"])
-            .stdin(Stdio::null())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::null())
-            .spawn()
-            .expect("Xvfb starts");
-        let mut number = String::new();
-        let out = xvfb.stdout.take().expect("standard output is piped");
-        BufReader::new(out).read_line(&mut number).expect("Xvfb says its display");
-        assert!(!number.trim().is_empty(), "Xvfb has no display");
-        Some(Desktop { xvfb, display: format!(":{}", number.trim()) })
+        // Servers that look for a free display by themselves at the same time can take one away from each other: each is given
+        // one that it can lock.
+        let first = 100 + std::process::id() % 10_000;
+        let started = (first..).take(20).find_map(|display| {
+            let mut xvfb = Command::new("Xvfb")
+                .arg(format!(":{display}"))
+                .args(["-displayfd", "1", "-screen", "0", "1024x768x24", "-nolisten", "tcp"])
+                .stdin(Stdio::null())
+                .stdout(Stdio::piped())
+                .stderr(Stdio::null())
+                .spawn()
+                .expect("Xvfb starts");
+            let mut told = String::new();
+            let out = xvfb.stdout.take().expect("standard output is piped");
+            BufReader::new(out).read_line(&mut told).expect("Xvfb says its display");
+            if told.trim().is_empty() {
+                let _ = xvfb.wait();
+                return None;
+            }
+            Some(Desktop { xvfb, display: format!(":{}", told.trim()) })
+        });
+        assert!(started.is_some(), "Xvfb has no display");
+        started
     }
 
     fn command(&self, name: impl AsRef<std::ffi::OsStr>) -> Command {
