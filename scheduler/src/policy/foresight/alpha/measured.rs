@@ -67,7 +67,8 @@ impl Measured {
     }
 
     /// Takes the next patches out of the cut. One beneath which there may be too many residents for one part is divided
-    /// among its children by projected area, as [`evaluate`] would do it.
+    /// among its children by projected area, as [`evaluate`] would do it; where that divides by element, in a world with
+    /// directions, by area is a little less exact.
     fn part(&mut self, tree: &LodTree, resident: &Coverage) -> Cut {
         let Cut { ref mut patches, total_weight, scale, eye, reach } = self.cut;
         let (mut taken, mut nodes) = (Vec::new(), 0);
