@@ -24,6 +24,8 @@ const EVALUATIONS_MIN: u64 = 20;
 /// Times the evaluations that an observation makes ahead of need, for these and the choices that cannot wait together: what was
 /// found out ahead mostly suffices, and where it does not, a choice far from the best costs more than the time.
 const URGENT: u64 = 4;
+/// Times the same that one choice makes of them: an answer is not waited for longer, and the next goes on.
+const AT_ONCE: (u64, u64) = (3, 2);
 /// Candidates whose discards are worked out for one decision; the rest are worse even without any loss.
 const SWAPS_WEIGHED: usize = 12;
 /// Views of a new sampling that one observation scales; it is searched once all are.
@@ -144,7 +146,9 @@ impl CertifiedChoice {
         let state = cx.state;
         let (evaluations, opened) = (self.present.search.evaluations(), self.present.search.nodes_opened());
         let urgent = URGENT.saturating_mul(cx.settings.evaluations).saturating_sub(self.evaluations_ahead);
-        let evaluations_max = self.evaluations_before.saturating_add(urgent).max(evaluations + EVALUATIONS_MIN);
+        let left = self.evaluations_before.saturating_add(urgent).saturating_sub(evaluations);
+        let at_once = (cx.settings.evaluations.saturating_mul(AT_ONCE.0) / AT_ONCE.1).max(EVALUATIONS_MIN);
+        let evaluations_max = evaluations.saturating_add(left.clamp(EVALUATIONS_MIN, at_once));
         let mut least_loss = f64::INFINITY;
         let mut best: Option<(Choice, f64)> = None;
         let mut passed_over = Vec::new();
