@@ -84,6 +84,8 @@ const QUIET_MS = 100;
 const SPACING_MS = 7;
 /** A connection over which nothing comes for so long, although views are sent, is opened anew, ms. */
 const SILENCE_MS = 15000;
+/** A page that did not run for longer may have messages waiting: silence counts anew, once until something is heard. */
+const STALL_MS = 1000;
 /** Views wait while more than this waits to be sent, bytes. */
 const BACKLOG_BYTES = 1 << 16;
 /** Connections to one host that browsers open where HTTP/1.1 is spoken: what is requested beyond them waits. */
@@ -110,6 +112,9 @@ export class Foresight extends EventTarget {
   #moved = false;
   #sentAt = 0;
   #heardAt = 0;
+  /** When the last frame was, and whether a stall since the last message is excused. */
+  #ranAt = 0;
+  #excused = false;
   #attempts = 0;
   #running = false;
   /** @type {any[]} */ #timers = [];
@@ -215,6 +220,7 @@ export class Foresight extends EventTarget {
     socket.onmessage = ({ data }) => {
       if (socket !== this.#socket) return;
       this.#heardAt = performance.now();
+      this.#excused = false;
       for (const message of JSON.parse(data)) {
         if (socket === this.#socket) this.#obey(message);
       }
@@ -309,6 +315,8 @@ export class Foresight extends EventTarget {
   /** Tells what has happened since the last frame, and then where the cameras are. */
   #frame() {
     const now = performance.now();
+    if (now - this.#ranAt > STALL_MS && !this.#excused) [this.#heardAt, this.#excused] = [now, true];
+    this.#ranAt = now;
     if (this.#socket && now - this.#heardAt > SILENCE_MS) {
       this.#close(`nothing came for ${SILENCE_MS / 1000} s`);
       this.#retry();

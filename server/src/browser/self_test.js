@@ -14,13 +14,21 @@ export async function selfTest(client, seconds, breaksAt, result) {
   const ordered = new Set();
   /** @type {string[]} */
   const problems = [];
+  /** Why connections ended. @type {string[]} */
+  const closed = [];
   let [resumed, twice, shares, quality] = [0, 0, 0, /** @type {number | null} */ (null)];
+  // Where the contents are: kept, as the session's own welcome is gone while there is no connection.
+  let base = "/worlds/";
   for (const type of /** @type {(keyof typeof counts)[]} */ (Object.keys(counts))) {
     client.addEventListener(type, () => { counts[type] += 1; });
   }
   const on = (/** @type {string} */ type, /** @type {(detail: any) => void} */ act) =>
     client.addEventListener(type, (event) => act(/** @type {CustomEvent} */ (event).detail));
-  on("welcome", (welcome) => { resumed += welcome.resumed ? 1 : 0; });
+  on("welcome", (welcome) => {
+    resumed += welcome.resumed ? 1 : 0;
+    base = welcome.base ?? base;
+  });
+  on("connection", ({ state, reason }) => { if (state === "closed") closed.push(reason); });
   on("fetch", (fetch) => {
     ordered.add(fetch.uri);
     twice += client.held.has(fetch.rep) ? 1 : 0;
@@ -33,9 +41,9 @@ export async function selfTest(client, seconds, breaksAt, result) {
   await new Promise((resolve) => { setTimeout(resolve, 1000 * seconds); });
   const resident = [...client.held.values()].filter(({ stage }) => stage === "resident");
   // Requests that the browser has made below the world, against those that the server has asked for.
-  const base = new URL(client.welcome?.base ?? "/worlds/", location.href).href;
-  const requests = performance.getEntriesByType("resource").filter(({ name }) => name.startsWith(base));
-  const uris = requests.map(({ name }) => name.slice(base.length).replace(/^\//, ""));
+  const root = new URL(base, location.href).href;
+  const requests = performance.getEntriesByType("resource").filter(({ name }) => name.startsWith(root));
+  const uris = requests.map(({ name }) => name.slice(root.length).replace(/^\//, ""));
   result.textContent = JSON.stringify({
     ...counts,
     resumed,
@@ -43,6 +51,8 @@ export async function selfTest(client, seconds, breaksAt, result) {
     shares,
     quality,
     problems: problems.slice(0, 20),
+    closed,
+    connected: client.welcome !== null,
     requests: requests.length,
     not_ordered: uris.filter((uri) => !ordered.has(uri)).length,
     resident: resident.length,

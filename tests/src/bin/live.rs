@@ -80,9 +80,12 @@ fn main() -> ExitCode {
             shifts.sort_by(f64::total_cmp);
             let mut latencies = live.flown.latencies_s();
             latencies.sort_by(f64::total_cmp);
+            // By reason.
+            let failed = live.summary["failed"].as_object().into_iter().flatten();
+            let failed: u64 = failed.filter_map(|(_, count)| count.as_u64()).sum();
             say(&format!(
                 "  live:      deficit {d_live:.4}, {} requests, {:.2} MB, difference {:.2} %\n  the first {common} requests are the same; these came {:.1} ms later (median), {:.1} ms (most)\n  \
-                 first byte after {:.1} ms (median); ticks {:.1} ms late at most, {} left out; {} bytes of memory of {}; {} failed",
+                 first byte after {:.1} ms (median); ticks {:.1} ms late at most, {} left out; {} bytes of memory of {}; {failed} failed",
                 requests.len(),
                 live.figure("bytes_received") / 1e6,
                 difference * 100.0,
@@ -93,7 +96,6 @@ fn main() -> ExitCode {
                 live.figure("ticks_skipped"),
                 live.figure("memory_max"),
                 live.figure("memory_budget"),
-                live.summary["failed"]
             ));
             server.stop();
             let replayed = case.replay_recording(&folder.path().join("recordings"));
