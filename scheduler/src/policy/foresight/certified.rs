@@ -147,7 +147,12 @@ impl CertifiedChoice {
         let (evaluations, opened) = (self.present.search.evaluations(), self.present.search.nodes_opened());
         let urgent = URGENT.saturating_mul(cx.settings.evaluations).saturating_sub(self.evaluations_ahead);
         let left = self.evaluations_before.saturating_add(urgent).saturating_sub(evaluations);
-        let at_once = (cx.settings.evaluations.saturating_mul(AT_ONCE.0) / AT_ONCE.1).max(EVALUATIONS_MIN);
+        // While nothing is held there is nothing to show: the first choice may take its time.
+        let at_once = if self.residents.is_empty() {
+            u64::MAX
+        } else {
+            (cx.settings.evaluations.saturating_mul(AT_ONCE.0) / AT_ONCE.1).max(EVALUATIONS_MIN)
+        };
         let evaluations_max = evaluations.saturating_add(left.clamp(EVALUATIONS_MIN, at_once));
         let mut least_loss = f64::INFINITY;
         let mut best: Option<(Choice, f64)> = None;
