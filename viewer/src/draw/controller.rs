@@ -5,7 +5,7 @@
 //! With t the median of the last three frame times and T the target,
 //!
 //! ```text
-//! ln bias ← clamp(ln bias + k · clamp(ln(t/A), ±ln 4))      unless |ln(t/A)| ≤ 0.05,   A = 0.93·T
+//! ln bias ← clamp(ln bias + k · clamp(ln(t/A), ±ln 4))      unless |ln(t/A)| ≤ 0.05,   A = 0.9·T
 //! ```
 //!
 //! What is aimed at is a little below the target, and k is 0.2 upwards and 0.05 downwards, because a late frame is seen where an
@@ -53,7 +53,7 @@ pub struct Controller {
 }
 
 /// A/T.
-const AIM: f64 = 0.93;
+const AIM: f64 = 0.9;
 /// k, towards coarser and towards finer.
 const GAINS: [f64; 2] = [0.2, 0.05];
 const STEP_MAX: f64 = 2.0 * core::f64::consts::LN_2;
