@@ -12,12 +12,9 @@ use foresight_tests::sidecar::slope::{self, Slope};
 /// Largest 99th percentile of view → decision that counts as held, milliseconds.
 const HELD_MS: f64 = 20.0;
 /// Time between two samples of memory in a soak.
-const SAMPLED: Duration = Duration::from_millis(2500);
-/// Samples between two lines of word.
-const SAID_EVERY: u64 = 24;
-/// Share of a soak in the beginning that is not judged: what an allocator has once taken for a rush it keeps, so that memory rises
-/// in steps to what the busiest moment needs. What leaks goes on rising.
-const SETTLING: f64 = 0.5;
+const SAMPLED: Duration = Duration::from_secs(5);
+/// Share of a soak in the beginning that is not judged.
+const SETTLING: f64 = 0.2;
 
 /// Finds how many sessions one core holds, or soaks a server.
 #[derive(Debug, Parser)]
@@ -224,7 +221,7 @@ fn soak(cli: &Cli, minutes: f64) -> ExitCode {
         std::thread::sleep(SAMPLED);
         let at_s = (sample + 1) as f64 * SAMPLED.as_secs_f64();
         samples.push((at_s, server.resident_bytes() as f64));
-        if (sample + 1).is_multiple_of(SAID_EVERY) {
+        if (sample + 1).is_multiple_of(12) {
             say(&format!(
                 "{:5.1} min: {:.1} MB resident, {} sessions connected, {} opened",
                 at_s / 60.0,
